@@ -1,0 +1,1 @@
+../../pipeline/phantomnode/__init__.py

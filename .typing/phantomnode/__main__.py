@@ -1,0 +1,1 @@
+../../pipeline/phantomnode/__main__.py

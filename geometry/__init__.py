@@ -1,0 +1,1 @@
+"""Geometry: curves from files, level sets, background grids, cutting and doubling."""

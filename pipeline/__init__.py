@@ -1,0 +1,1 @@
+"""Pipeline: case files, preparation, runs, output and the command line."""

@@ -1,0 +1,1 @@
+"""Solver: compiled kernels on NamedTuples of arrays; no file, no print, no global state."""

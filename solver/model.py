@@ -1,0 +1,129 @@
+"""The only structures that kernels see: NamedTuples of arrays (and the numbers that go with them).
+
+Indices are int64, numbers float64, C-contiguous. SI units, plane strain, per metre of thickness.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Elements(NamedTuple):
+    """Uncut elements: one integration point and Flanagan-Belytschko hourglass control.
+
+    nodes (m, 4); gradient (m, 4, 2) of N_I at the centre, 1/m; volume (m,), m^2 (per metre of thickness);
+    gamma (m, 4) hourglass vector; hourglass (m,) hourglass stiffness k, N/m, with force k gamma (gamma . u);
+    lame (m,) lambda, Pa; shear (m,) mu, Pa.
+    """
+
+    nodes: Ints
+    gradient: Floats
+    volume: Floats
+    gamma: Floats
+    hourglass: Floats
+    lame: Floats
+    shear: Floats
+
+
+class CutElements(NamedTuple):
+    """Cut elements: integration points on the triangles of the fragment.
+
+    nodes (c, 4); first (c + 1,) first point of each element in the lists of points; gradient (p, 4, 2) of N_I
+    at each point, 1/m; weight (p,), m^2; lame (c,), shear (c,), Pa.
+    """
+
+    nodes: Ints
+    first: Ints
+    gradient: Floats
+    weight: Floats
+    lame: Floats
+    shear: Floats
+
+
+class Contact(NamedTuple):
+    """Slave points and master segments of all contact pairs.
+
+    A slave point is sum_I slave_shape[I] x[slave_nodes[I]]; likewise the start and end of a master segment.
+    The master's material is on the left of its segments (outward normal on the right). Segments of one pair
+    are numbered in a row: pair k has masters master_first[k] .. master_first[k + 1] and slave points
+    slave_first[k] .. slave_first[k + 1].
+
+    slave_nodes (g, 4), slave_shape (g, 4), slave_weight (g,) reference length of each point, m;
+    slave_first (k + 1,); master_nodes (s, 4), start_shape (s, 4), end_shape (s, 4); previous (s,), following (s,)
+    neighbours along the master surface, -1 at a free end; master_first (k + 1,); penalty (k,), Pa/m;
+    reach (k,), m: how deep a point can lie inside and still be found (about one cell).
+    """
+
+    slave_nodes: Ints
+    slave_shape: Floats
+    slave_weight: Floats
+    slave_first: Ints
+    master_nodes: Ints
+    start_shape: Floats
+    end_shape: Floats
+    previous: Ints
+    following: Ints
+    master_first: Ints
+    penalty: Floats
+    reach: Floats
+
+
+class Model(NamedTuple):
+    """Everything that stays the same during a run.
+
+    x (n, 2) reference positions, m; mass (n,) lumped, kg/m; load (n, 2) constant nodal force (gravity), N/m;
+    channel (n, 2) row of the prescribed motion that holds each degree of freedom, -1 where it is free;
+    channels: number of prescribed motions; elements, cut_elements, contact: the lists above.
+    """
+
+    x: Floats
+    mass: Floats
+    load: Floats
+    channel: Ints
+    channels: int
+    elements: Elements
+    cut_elements: CutElements
+    contact: Contact
+
+
+class State(NamedTuple):
+    """Everything that changes; written in place by the kernels.
+
+    u (n, 2) displacement at the current time, m; v (n, 2) velocity half a step back, m/s (at the start: the
+    initial velocity); a (n, 2) acceleration at the current time; force (n, 2) internal + hourglass + contact
+    + load forces on the nodes at the current time, N/m; reaction (channels,) force that each prescribed
+    motion exerts, N/m; external (1,) work of reactions and loads so far, J/m; pair_force (k, 2) force on the
+    slave of each pair, N/m; pair_impulse (k, 2) its time integral, N s/m; pair_peak (k,) its largest norm, N/m;
+    gap (g,) penetration (positive) or -1e300 where open, m; normal (g, 2) direction of the force on the slave;
+    clock (2,): time, s, and number of steps done; smallest_j (1,) smallest J = det F met in the last step.
+    """
+
+    u: Floats
+    v: Floats
+    a: Floats
+    force: Floats
+    reaction: Floats
+    external: Floats
+    pair_force: Floats
+    pair_impulse: Floats
+    pair_peak: Floats
+    gap: Floats
+    normal: Floats
+    clock: Floats
+    smallest_j: Floats
+
+
+class Energies(NamedTuple):
+    """Energies at one time, J per metre of thickness."""
+
+    kinetic: float
+    internal: float
+    hourglass: float
+    contact: float
+    external_work: float
