@@ -66,7 +66,7 @@ class Curve:
     @cached_property
     def chords(self) -> Floats:
         """(n,) Straight distance between the ends of each piece, metres."""
-        return np.hypot(*np.diff(self.points, axis=0).T)
+        return np.asarray(np.hypot(*np.diff(self.points, axis=0).T))
 
     @cached_property
     def lengths(self) -> Floats:
