@@ -19,7 +19,7 @@ class Elements(NamedTuple):
 
     nodes (m, 4); gradient (m, 4, 2) of N_I at the centre, 1/m; volume (m,), m^2 (per metre of thickness);
     gamma (m, 4) hourglass vector; hourglass (m,) hourglass stiffness k, N/m, with force k gamma (gamma . u);
-    lame (m,) lambda, Pa; shear (m,) mu, Pa.
+    lame (m,) lambda, Pa; shear (m,) mu, Pa; mass (m,), kg/m, of which a quarter stands on each node.
     """
 
     nodes: Ints
@@ -29,13 +29,14 @@ class Elements(NamedTuple):
     hourglass: Floats
     lame: Floats
     shear: Floats
+    mass: Floats
 
 
 class CutElements(NamedTuple):
     """Cut elements: integration points on the triangles of the fragment.
 
     nodes (c, 4); first (c + 1,) first point of each element in the lists of points; gradient (p, 4, 2) of N_I
-    at each point, 1/m; weight (p,), m^2; lame (c,), shear (c,), Pa.
+    at each point, 1/m; weight (p,), m^2; lame (c,), shear (c,), Pa; mass (c,), kg/m.
     """
 
     nodes: Ints
@@ -44,6 +45,7 @@ class CutElements(NamedTuple):
     weight: Floats
     lame: Floats
     shear: Floats
+    mass: Floats
 
 
 class Contact(NamedTuple):

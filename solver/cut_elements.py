@@ -1,0 +1,94 @@
+"""Cut elements: full integration over the triangles of the fragment, with the bilinear gradients at each point.
+
+Three points a triangle leave no zero-energy mode beside the rigid ones, so no hourglass term is needed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from phantomnode.solver.hencky import energy_density, first_piola
+from phantomnode.solver.model import CutElements
+from phantomnode.solver.q4 import displacement_gradient
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+def fragment_elements(
+    nodes: Ints,
+    first: Ints,
+    gradient: Floats,
+    weight: Floats,
+    lame: ArrayLike,
+    shear: ArrayLike,
+    rho: ArrayLike,
+) -> CutElements:
+    """Cut elements from their integration points; the mass is rho times the sum of the weights.
+
+    Parameters
+    ----------
+    nodes : (c, 4) int64
+    first : (c + 1,) int64
+        First integration point of each element.
+    gradient : (p, 4, 2) float64, 1/m
+    weight : (p,) float64, m^2
+    lame, shear : float or (c,) float64, Pa
+    rho : float or (c,) float64, kg/m^3
+
+    Raises
+    ------
+    ValueError
+        Where an element has no points, or no positive weight.
+    """
+    c = len(nodes)
+    first = np.ascontiguousarray(first, dtype=np.int64)
+    weight = np.ascontiguousarray(weight, dtype=np.float64)
+    area = np.bincount(np.repeat(np.arange(c), np.diff(first)), weights=weight, minlength=c)
+    if not np.all(area > 0.0):
+        raise ValueError(f"cut element {int(np.argmin(area))} has no integration point of positive weight")
+
+    def each(value: ArrayLike) -> Floats:
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), (c,)).copy()
+
+    return CutElements(
+        nodes=np.ascontiguousarray(nodes, dtype=np.int64).reshape(c, 4),
+        first=first,
+        gradient=np.ascontiguousarray(gradient, dtype=np.float64).reshape(-1, 4, 2),
+        weight=weight,
+        lame=each(lame),
+        shear=each(shear),
+        mass=each(rho) * area,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
+    """Add the internal forces of the cut elements to (n, 2) force, N/m; the smallest J met, NaN where one is lost."""
+    smallest, lost = math.inf, False
+    for e in range(len(cut.lame)):
+        nodes = cut.nodes[e]
+        for p in range(cut.first[e], cut.first[e + 1]):
+            gradient, w = cut.gradient[p], cut.weight[p]
+            h11, h12, h21, h22 = displacement_gradient(nodes, gradient, u)
+            p11, p12, p21, p22, j = first_piola(h11, h12, h21, h22, cut.lame[e], cut.shear[e])
+            smallest, lost = min(smallest, j), lost or not j > -math.inf
+            for i in range(4):
+                force[nodes[i], 0] -= w * (p11 * gradient[i, 0] + p12 * gradient[i, 1])
+                force[nodes[i], 1] -= w * (p21 * gradient[i, 0] + p22 * gradient[i, 1])
+    return math.nan if lost else smallest
+
+
+@njit(cache=True, error_model="numpy")
+def cut_energy(cut: CutElements, u: Floats) -> float:
+    """Internal energy of the cut elements, J/m."""
+    internal = 0.0
+    for e in range(len(cut.lame)):
+        for p in range(cut.first[e], cut.first[e + 1]):
+            h11, h12, h21, h22 = displacement_gradient(cut.nodes[e], cut.gradient[p], u)
+            internal += cut.weight[p] * energy_density(h11, h12, h21, h22, cut.lame[e], cut.shear[e])
+    return internal
