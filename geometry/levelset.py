@@ -1,0 +1,340 @@
+"""Signed distance to curves and regions: exact for lines and arcs, with the right sign everywhere.
+
+The sign is that of the closest feature. Inside a piece it is the side of the piece; at a vertex all points
+that are closest to it lie on the outer side of its corner, so the sign belongs to the corner and not to the
+point: + where the curve turns right there, - where it turns left (the material is on the left).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phantomnode.geometry.curves import Curve, Region, arc_centre
+from phantomnode.geometry.errors import GeometryError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SMOOTH = 1e-6
+"""Below this turn (radians) a vertex has no corner of its own: the side of its mean normal decides."""
+
+TIE = 1e-14
+"""Relative difference of distances that rounding alone may cause."""
+
+
+class Closest(NamedTuple):
+    """What is closest to each of n points.
+
+    Attributes
+    ----------
+    distance : (n,) float64, metres
+        Signed: positive in the material (of regions) or on the left (of a curve).
+    normal : (n, 2) float64
+        Gradient of the signed distance; on the curve its left normal.
+    point : (n, 2) float64, metres
+        The closest point.
+    curve, piece : (n,) int64
+        The curve, in the order given (the loops of regions in order), and the piece of it.
+    s : (n,) float64
+        Fraction along the piece, 0..1.
+    """
+
+    distance: Floats
+    normal: Floats
+    point: Floats
+    curve: Ints
+    piece: Ints
+    s: Floats
+
+
+class LevelSet:
+    """Signed distance to the outlines of regions or to one curve.
+
+    Made by :meth:`of_regions` or :meth:`of_curve`.
+    """
+
+    def __init__(self, groups: Sequence[Sequence[Curve]]) -> None:
+        """One group of curves for each region; the level set of several is that of their union."""
+        self._groups = [_pieces(curves) for curves in groups]
+        counts = np.array([len(curves) for curves in groups])
+        self._first_curve = np.cumsum(counts) - counts
+
+    @classmethod
+    def of_regions(cls, regions: Sequence[Region]) -> LevelSet:
+        """Positive in the material of the regions, negative in the void (and in their holes).
+
+        Where two regions share an edge that edge is a zero line with material on both sides.
+        """
+        if not regions:
+            raise GeometryError("a level set needs at least one region")
+        return cls([region.loops for region in regions])
+
+    @classmethod
+    def of_curve(cls, curve: Curve) -> LevelSet:
+        """Positive on the left of the curve; past a free end, on the left of the end's tangent."""
+        return cls([[curve]])
+
+    def distance(self, xy: Floats) -> Floats:
+        """(n,) Signed distance, metres, of (n, 2) points."""
+        return self.query(xy).distance
+
+    def normal(self, xy: Floats) -> Floats:
+        """(n, 2) Gradient of the signed distance at (n, 2) points, of unit length.
+
+        At points closest to a corner it is radial; at a point on the curve it is the left normal (at a
+        corner itself the mean of both).
+        """
+        return self.query(xy).normal
+
+    def closest(self, xy: Floats) -> tuple[Floats, Ints, Ints, Floats]:
+        """Closest points (n, 2), their curve (n,), piece (n,) and fraction along the piece (n,)."""
+        found = self.query(xy)
+        return found.point, found.curve, found.piece, found.s
+
+    def query(self, xy: Floats) -> Closest:
+        """Everything about the closest feature of (n, 2) points at once."""
+        xy = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
+        best: Closest | None = None
+        for pieces, first in zip(self._groups, self._first_curve, strict=True):
+            found = Closest(*_query(pieces, xy))
+            found.curve[:] += first
+            if best is None:
+                best = found
+                continue
+            larger = found.distance > best.distance
+            for kept, new in zip(best, found, strict=True):
+                kept[larger] = new[larger]
+        assert best is not None  # of_regions and of_curve give at least one group
+        return best
+
+
+class _Pieces(NamedTuple):
+    """Lines and arcs for the kernel; row k of every array is piece k.
+
+    ``vertex_*`` have one row for the start and one for the end, (n, 2, ...): the turn there (radians,
+    unsigned), the sign of the points closest to it (0: by the side of the normal), the mean left normal.
+    ``boxes`` is a complete binary tree of bounding boxes (x0, y0, x1, y1): node i has the children 2i and
+    2i + 1, and the leaves, from ``len(boxes) // 2`` on, are the pieces, which follow each other in space.
+    """
+
+    start: Floats
+    end: Floats
+    along: Floats  # unit chord
+    half: Floats  # half the chord
+    bulge: Floats
+    centre: Floats
+    radius: Floats
+    start_tangent: Floats
+    end_tangent: Floats
+    half_angle: Floats
+    vertex_turn: Floats
+    vertex_sign: Floats
+    vertex_normal: Floats
+    curve: Ints
+    piece: Ints
+    boxes: Floats
+
+
+def _pieces(curves: Sequence[Curve]) -> _Pieces:
+    """The pieces of one region's loops, or of one curve."""
+    start = np.vstack([c.points[:-1] for c in curves])
+    end = np.vstack([c.points[1:] for c in curves])
+    bulge = np.concatenate([c.bulges for c in curves])
+    chord = np.concatenate([c.chords for c in curves])
+    if not (np.all(np.isfinite(start)) and np.all(np.isfinite(bulge)) and np.all(chord > 0.0)):
+        raise GeometryError("a curve has a piece without length or a coordinate that is not finite")
+    bent = bulge != 0.0
+    centre = arc_centre(start, end, np.where(bent, bulge, 1.0))
+    vertex = [_vertices(c) for c in curves]
+    return _Pieces(
+        start=start,
+        end=end,
+        along=(end - start) / chord[:, None],
+        half=0.5 * chord,
+        bulge=bulge,
+        centre=centre,
+        radius=np.where(bent, 0.25 * chord * (1.0 + bulge**2) / np.abs(np.where(bent, bulge, 1.0)), np.inf),
+        start_tangent=np.vstack([c.tangents[0] for c in curves]),
+        end_tangent=np.vstack([c.tangents[1] for c in curves]),
+        half_angle=0.5 * np.concatenate([c.angles for c in curves]),
+        vertex_turn=np.concatenate([v[0] for v in vertex]),
+        vertex_sign=np.concatenate([v[1] for v in vertex]),
+        vertex_normal=np.concatenate([v[2] for v in vertex]),
+        curve=np.repeat(np.arange(len(curves)), [len(c.bulges) for c in curves]),
+        piece=np.concatenate([np.arange(len(c.bulges)) for c in curves]),
+        boxes=_box_tree(np.minimum(start, end), np.maximum(start, end), bulge, chord),
+    )
+
+
+def _vertices(curve: Curve) -> tuple[Floats, Floats, Floats]:
+    """((n, 2), (n, 2), (n, 2, 2)) Turn, sign and mean normal at the start and the end of each piece."""
+    out, into = curve.tangents
+    before, after = np.roll(into, 1, axis=0), out  # at the start of each piece
+    curvature = 4.0 * curve.bulges / (curve.chords * (1.0 + curve.bulges**2))
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.sum(before * after, axis=1))
+    sign = np.where(np.abs(turn) > SMOOTH, -np.sign(turn), 0.0)
+    # A cusp turns back on itself: left where the way out lies to the left of the way in.
+    cusp = np.pi - np.abs(turn) < SMOOTH
+    sign[cusp] = np.where((curvature + np.roll(curvature, 1))[cusp] < 0.0, -1.0, 1.0)
+    mean = before + after
+    mean[cusp] = before[cusp]
+    mean /= np.hypot(*mean.T)[:, None]
+    turn, sign, mean = (np.stack([x, np.roll(x, -1, axis=0)], axis=1) for x in (np.abs(turn), sign, mean))
+    if not curve.closed:
+        turn[0, 0] = turn[-1, 1] = sign[0, 0] = sign[-1, 1] = 0.0
+        mean[0, 0], mean[-1, 1] = out[0], into[-1]
+    return turn, sign, np.stack([-mean[..., 1], mean[..., 0]], axis=-1)
+
+
+def _box_tree(low: Floats, high: Floats, bulge: Floats, chord: Floats) -> Floats:
+    """(2 * leaves, 4) Tree of the bounding boxes; leaves is a power of two, empty ones are at infinity."""
+    # An arc leaves the box of its ends by at most its sagitta, or its diameter beyond a semicircle.
+    reach = np.where(np.abs(bulge) <= 1.0, 0.5 * np.abs(bulge), 0.5 * (1.0 + bulge**2)) * chord
+    leaves = 1 << (len(low) - 1).bit_length()
+    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 * leaves, 1))
+    boxes[leaves : leaves + len(low), :2] = low - reach[:, None]
+    boxes[leaves : leaves + len(low), 2:] = high + reach[:, None]
+    for i in range(leaves - 1, 0, -1):
+        boxes[i, :2] = np.minimum(boxes[2 * i, :2], boxes[2 * i + 1, :2])
+        boxes[i, 2:] = np.maximum(boxes[2 * i, 2:], boxes[2 * i + 1, 2:])
+    return boxes
+
+
+@njit(cache=True, error_model="numpy")
+def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, Ints, Floats]:
+    """Closest feature of every point; a neighbour's answer is the first guess of the next."""
+    n = len(xy)
+    distance, s = np.empty(n), np.empty(n)
+    normal, point = np.empty((n, 2)), np.empty((n, 2))
+    curve, piece = np.empty(n, np.int64), np.empty(n, np.int64)
+    guess, stack = 0, np.empty(64, np.int64)
+    for i in range(n):
+        x, y = xy[i, 0], xy[i, 1]
+        guess, vertex, far = _nearest(pieces, x, y, guess, stack)
+        px, py, nx, ny, phi = _foot(pieces, guess, vertex, far, x, y)
+        distance[i] = phi
+        normal[i, 0], normal[i, 1] = nx, ny
+        point[i, 0], point[i, 1] = px, py
+        curve[i], piece[i] = pieces.curve[guess], pieces.piece[guess]
+        s[i] = _fraction(pieces, guess, vertex, px, py)
+    return distance, normal, point, curve, piece, s
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest(pieces: _Pieces, x: float, y: float, guess: int, stack: Ints) -> tuple[int, int, float]:
+    """Closest piece, its closest vertex (0 start, 1 end, -1 inside the piece), unsigned distance.
+
+    Of features that are equally far the one with the smallest turn counts: a corner that touches the
+    outside of another one from within must not speak for the points out there. Then the lower number.
+    """
+    best = guess
+    far, vertex, turn = _measure(pieces, best, x, y)
+    leaves = len(pieces.boxes) // 2
+    stack[0] = 1
+    top = 1
+    while top > 0:
+        top -= 1
+        i = stack[top]
+        if _box_distance(pieces.boxes, i, x, y) > far * (1.0 + TIE):
+            continue
+        if i < leaves:
+            near, other = 2 * i, 2 * i + 1
+            if _box_distance(pieces.boxes, near, x, y) > _box_distance(pieces.boxes, other, x, y):
+                near, other = other, near
+            stack[top], stack[top + 1] = other, near
+            top += 2
+        elif i - leaves != best:
+            d, v, t = _measure(pieces, i - leaves, x, y)
+            tie = abs(d - far) <= TIE * far
+            if (d < far and not tie) or (tie and (t < turn or (t == turn and i - leaves < best))):
+                best, far, vertex, turn = i - leaves, d, v, t
+    return best, vertex, far
+
+
+@njit(cache=True, error_model="numpy")
+def _box_distance(boxes: Floats, i: int, x: float, y: float) -> float:
+    """Distance of a point from a box of the tree, infinite for an empty one."""
+    dx = max(boxes[i, 0] - x, x - boxes[i, 2], 0.0)
+    dy = max(boxes[i, 1] - y, y - boxes[i, 3], 0.0)
+    return np.sqrt(dx * dx + dy * dy)
+
+
+@njit(cache=True, error_model="numpy")
+def _measure(pieces: _Pieces, k: int, x: float, y: float) -> tuple[float, int, float]:
+    """Unsigned distance to piece k, closest vertex (-1: inside the piece), turn at that vertex."""
+    ax, ay = x - pieces.start[k, 0], y - pieces.start[k, 1]
+    bx, by = x - pieces.end[k, 0], y - pieces.end[k, 1]
+    past_start = ax * pieces.start_tangent[k, 0] + ay * pieces.start_tangent[k, 1] > 0.0
+    before_end = bx * pieces.end_tangent[k, 0] + by * pieces.end_tangent[k, 1] < 0.0
+    # The normals at both ends bound the sector of an arc, which is not convex beyond a semicircle.
+    inside = (past_start or before_end) if abs(pieces.bulge[k]) > 1.0 else (past_start and before_end)
+    if inside:
+        return abs(_side(pieces, k, x, y)), -1, 0.0
+    da, db = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
+    if da <= db:
+        return da, 0, pieces.vertex_turn[k, 0]
+    return db, 1, pieces.vertex_turn[k, 1]
+
+
+@njit(cache=True, error_model="numpy")
+def _side(pieces: _Pieces, k: int, x: float, y: float) -> float:
+    """Signed distance to the whole line or circle of piece k, positive to the left.
+
+    With g of intersect.py the power of the point is r^2 - rho^2 = +-2 r g, so r - rho = 2 g / (1 + rho/r).
+    """
+    ex, ey = pieces.along[k, 0], pieces.along[k, 1]
+    ax, ay = x - pieces.start[k, 0], y - pieces.start[k, 1]
+    b, v = pieces.bulge[k], ex * ay - ey * ax
+    if b == 0.0:
+        return v
+    bx, by = x - pieces.end[k, 0], y - pieces.end[k, 1]
+    g = ((1.0 - b * b) * v - b * (ax * bx + ay * by) / pieces.half[k]) / (1.0 + b * b)
+    cx, cy = pieces.centre[k, 0] - x, pieces.centre[k, 1] - y
+    return 2.0 * g / (1.0 + np.sqrt(cx * cx + cy * cy) / pieces.radius[k])
+
+
+@njit(cache=True, error_model="numpy")
+def _foot(
+    pieces: _Pieces, k: int, vertex: int, far: float, x: float, y: float
+) -> tuple[float, float, float, float, float]:
+    """Closest point (x, y), gradient (x, y) and signed distance on the closest feature."""
+    if vertex >= 0:
+        px = pieces.end[k, 0] if vertex == 1 else pieces.start[k, 0]
+        py = pieces.end[k, 1] if vertex == 1 else pieces.start[k, 1]
+        nx, ny = pieces.vertex_normal[k, vertex, 0], pieces.vertex_normal[k, vertex, 1]
+        if far == 0.0:
+            return px, py, nx, ny, 0.0
+        sign = pieces.vertex_sign[k, vertex]
+        if sign == 0.0:
+            sign = 1.0 if (x - px) * nx + (y - py) * ny >= 0.0 else -1.0
+        return px, py, sign * (x - px) / far, sign * (y - py) / far, sign * far
+    phi = _side(pieces, k, x, y)
+    nx, ny = -pieces.along[k, 1], pieces.along[k, 0]
+    if pieces.bulge[k] != 0.0:
+        cx, cy = pieces.centre[k, 0] - x, pieces.centre[k, 1] - y
+        rho = np.sqrt(cx * cx + cy * cy)
+        if rho == 0.0:  # every point of the arc is as close: take its start
+            cx, cy = pieces.centre[k, 0] - pieces.start[k, 0], pieces.centre[k, 1] - pieces.start[k, 1]
+            rho = pieces.radius[k]
+        turn = 1.0 if pieces.bulge[k] > 0.0 else -1.0
+        nx, ny = turn * cx / rho, turn * cy / rho
+    return x - phi * nx, y - phi * ny, nx, ny, phi
+
+
+@njit(cache=True, error_model="numpy")
+def _fraction(pieces: _Pieces, k: int, vertex: int, px: float, py: float) -> float:
+    """Fraction along piece k of a point on it: tan(s angle/2) = ra sin / (rb + ra cos)."""
+    if vertex >= 0:
+        return float(vertex)
+    ax, ay = px - pieces.start[k, 0], py - pieces.start[k, 1]
+    bx, by = px - pieces.end[k, 0], py - pieces.end[k, 1]
+    ra, rb = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
+    h = abs(pieces.half_angle[k])
+    if h == 0.0:
+        return ra / (ra + rb)
+    return np.arctan2(ra * np.sin(h), rb + ra * np.cos(h)) / h
