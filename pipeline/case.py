@@ -1,0 +1,155 @@
+"""Case files: found, read, overridden, validated, written back with every default spelled out."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+from pydantic import ValidationError
+
+from phantomnode.pipeline.crosscheck import cross_check
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.messages import describe, listed, suggestion
+from phantomnode.pipeline.overrides import apply_overrides
+from phantomnode.pipeline.schema import Case
+
+__all__ = [
+    "Case",
+    "CaseError",
+    "bundled_cases",
+    "case_from_table",
+    "find_case",
+    "json_schema",
+    "load_case",
+    "resolved_toml",
+]
+
+CASE_FILE = "case.toml"
+
+
+def load_case(source: str | Path, overrides: Sequence[str] = ()) -> Case:
+    """Read and validate a case.
+
+    Parameters
+    ----------
+    source : str or Path
+        A case file, a folder that holds ``case.toml``, or the name of a bundled case ("ring_impact", or
+        "ring_impact/polar" for a variant).
+    overrides : sequence of str
+        Each ``key.path=value``, as ``"body.ring.initial_velocity=[0, -100]"``; the value is TOML.
+
+    Returns
+    -------
+    Case
+        Validated, in SI; its ``folder`` is absolute.
+
+    Raises
+    ------
+    CaseError
+        With everything that is wrong, each message naming the file and the key.
+    """
+    file = find_case(source)
+    table = _read(file)
+    try:
+        apply_overrides(table, overrides)
+        return case_from_table(table, file.parent, _default_name(file))
+    except CaseError as error:
+        raise CaseError([m if m.startswith("--set") else f"{file}: {m}" for m in error.messages]) from error
+
+
+def case_from_table(table: Mapping[str, Any], folder: Path = Path("."), name: str = "case") -> Case:
+    """Validate a case that is given as a table (what TOML reads).
+
+    Parameters
+    ----------
+    table : mapping
+        The case.
+    folder : Path
+        Where relative files are taken from, unless the case says it.
+    name : str
+        The name of the case, unless the case says it.
+
+    Raises
+    ------
+    CaseError
+        With everything that is wrong; each message starts with the key.
+    """
+    filled = {"name": name, **table}
+    try:
+        case = Case.model_validate(filled)
+    except ValidationError as error:
+        raise CaseError(describe(error, filled)) from error
+    # A folder in the file is relative to the file; "/" keeps an absolute one.
+    case = case.model_copy(update={"folder": (folder / case.folder).resolve()})
+    if faults := cross_check(case):
+        raise CaseError(faults)
+    return case
+
+
+def resolved_toml(case: Case) -> str:
+    """The case as TOML with every default spelled out; it loads back to an equal case from anywhere."""
+    return tomli_w.dumps(case.model_dump(mode="json", exclude_none=True))
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON schema of a case file, for editors that complete and check TOML."""
+    schema = Case.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "phantomnode case"}
+
+
+def bundled_cases() -> dict[str, Path]:
+    """Bundled cases by name: "folder" for its case.toml, "folder/variant" for another TOML file in it."""
+    # By name, not by import: cases are data (see the import contracts in pyproject.toml).
+    root = Path(str(resources.files("phantomnode.cases")))
+    found = {}
+    for file in sorted(root.glob("*/*.toml"), key=lambda f: (f.parent.name, f.name != CASE_FILE, f.name)):
+        folder = file.parent.name
+        found[folder if file.name == CASE_FILE else f"{folder}/{file.stem}"] = file
+    return found
+
+
+def find_case(source: str | Path) -> Path:
+    """The file of a case.
+
+    Raises
+    ------
+    CaseError
+        If there is no such file, folder or bundled case.
+    """
+    path = Path(source).expanduser()
+    if path.is_file():
+        return path
+    if (path / CASE_FILE).is_file():
+        return path / CASE_FILE
+    bundled = bundled_cases()
+    if str(source) in bundled:
+        return bundled[str(source)]
+    if path.is_dir():
+        raise CaseError(f"{path}: this folder holds no {CASE_FILE}; name the case file itself, or write one")
+    raise CaseError(
+        f"{source}: there is no such file, folder or bundled case{suggestion(str(source), bundled)}; "
+        f"bundled cases are {listed(bundled)}"
+    )
+
+
+def _read(file: Path) -> dict[str, Any]:
+    """The table in a TOML file."""
+    try:
+        return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
+    except OSError as error:
+        raise CaseError(f"{file}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise CaseError(f"{file}: is not a text file in UTF-8; a case file is TOML text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise CaseError(f"{file}: is not valid TOML: {error}") from error
+
+
+def _default_name(file: Path) -> str:
+    """The folder's name for a case.toml, else the file's, with what no name may hold replaced."""
+    raw = file.resolve().parent.name if file.name == CASE_FILE else file.stem
+    name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in raw)
+    return name if name[:1].isalpha() or name[:1] == "_" else f"case_{name}"

@@ -1,0 +1,131 @@
+"""What no single table of a case can know: names that refer to each other, files, functions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from phantomnode.pipeline.expressions import ExpressionError, time_function
+from phantomnode.pipeline.messages import listed, shown, suggestion
+from phantomnode.pipeline.schema import Boundary, BoxOn, Case
+from phantomnode.pipeline.shapes import FileGrid, MappedGrid
+from phantomnode.pipeline.values import Table
+
+PROBES = 1001
+"""Times at which a function of time is tried before anything is prepared."""
+
+
+def cross_check(case: Case) -> list[str]:
+    """Everything that is wrong between the tables of a case; each message starts with its key."""
+    return [*_names(case), *_references(case), *_surfaces(case), *_files(case), *_motions(case)]
+
+
+def _names(case: Case) -> Iterator[str]:
+    """Bodies and interfaces share the names of surfaces, so none may be both."""
+    for name in case.interface.keys() & case.body.keys():
+        yield f"interface.{name}: a body has this name too; rename one of the two"
+
+
+def _references(case: Case) -> Iterator[str]:
+    """Names of materials, grids and bodies."""
+    for name, body in case.body.items():
+        if body.material not in case.material:
+            yield _unknown(f"body.{name}.material", body.material, "material", case.material)
+        if isinstance(body.grid, str) and body.grid not in case.grid:
+            yield _unknown(f"body.{name}.grid", body.grid, "grid", case.grid)
+    for name, interface in case.interface.items():
+        if interface.body not in case.body:
+            yield _unknown(f"interface.{name}.body", interface.body, "body", case.body)
+    for name, boundary in case.boundary.items():
+        if isinstance(boundary.on, BoxOn) and boundary.on.body not in case.body:
+            yield _unknown(f"boundary.{name}.on.body", boundary.on.body, "body", case.body)
+
+
+def _surfaces(case: Case) -> Iterator[str]:
+    """Names such as "ring.outer" (whether a body has the part is known once its geometry is read)."""
+    for name, contact in case.contact.items():
+        yield from _surface(case, f"contact.{name}.slave", contact.slave)
+        yield from _surface(case, f"contact.{name}.master", contact.master)
+        if contact.slave == contact.master:
+            yield f"contact.{name}: slave and master are both {shown(contact.slave)}; name two surfaces"
+    for name, boundary in case.boundary.items():
+        if isinstance(boundary.on, str):
+            yield from _surface(case, f"boundary.{name}.on", boundary.on)
+
+
+def _surface(case: Case, key: str, place: str) -> Iterator[str]:
+    """A name of a surface: its owner exists, and a side of an interface is plus or minus."""
+    owner, _, part = place.partition(".")
+    owners = [*case.body, *case.interface]
+    if owner not in owners:
+        yield _unknown(key, place, "body or interface", owners, owner)
+    elif owner in case.interface and owner not in case.body and part not in ("plus", "minus"):
+        yield f"{key} = {shown(place)}: the sides of an interface are {owner}.plus and {owner}.minus"
+
+
+def _unknown(key: str, value: str, what: str, known: Iterable[str], name: str = "") -> str:
+    """The message for a name that nothing has."""
+    names, name = list(known), name or value
+    hint = suggestion(name, names)
+    return f"{key} = {shown(value)}: there is no {what} {name!r}{hint}; there are: {listed(names)}"
+
+
+def _files(case: Case) -> Iterator[str]:
+    """Files that are not there."""
+    for key, table in _tables(case):
+        file = getattr(table, "file", None)
+        if file is None or case.path(file).is_file():
+            continue
+        folder = case.path(file).parent
+        near = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
+        hint = suggestion(case.path(file).name, near)
+        yield f"{key}.file = {shown(file)}: there is no such file in {folder}{hint}"
+
+
+def _tables(case: Case) -> Iterator[tuple[str, Table]]:
+    """Every geometry and grid with its key."""
+    for name, body in case.body.items():
+        yield f"body.{name}.geometry", body.geometry
+        if not isinstance(body.grid, str):
+            yield from _grid_tables(f"body.{name}.grid", body.grid)
+    for name, interface in case.interface.items():
+        yield f"interface.{name}.geometry", interface.geometry
+    for name, grid in case.grid.items():
+        yield from _grid_tables(f"grid.{name}", grid)
+
+
+def _grid_tables(key: str, grid: Table) -> Iterator[tuple[str, Table]]:
+    """The tables of a grid that may name a file."""
+    if isinstance(grid, FileGrid):
+        yield key, grid
+    elif isinstance(grid, MappedGrid):
+        for side in ("bottom", "right", "top", "left"):
+            yield f"{key}.{side}", getattr(grid, side)
+
+
+def _motions(case: Case) -> Iterator[str]:
+    """Functions of time: finite over the run, and a displacement starts from where the body is."""
+    for name, boundary in case.boundary.items():
+        for kind in ("displacement", "velocity", "acceleration"):
+            for direction in ("x", "y"):
+                yield from _motion(case, boundary, f"boundary.{name}", kind, direction)
+
+
+def _motion(case: Case, boundary: Boundary, key: str, kind: str, direction: str) -> Iterator[str]:
+    """One function of time."""
+    value = getattr(getattr(boundary, kind), direction, None)
+    if value is None:
+        return
+    key = f"{key}.{kind}.{direction}"
+    try:
+        values = time_function(value)(np.linspace(0.0, case.time.end, PROBES))
+    except ExpressionError as error:
+        yield f"{key}: {error}"
+        return
+    # A jump at t = 0 would be an infinite velocity; 1e-12 of the largest value is rounding in the expression.
+    if kind == "displacement" and abs(values[0]) > 1e-12 * np.max(np.abs(values)):
+        yield (
+            f"{key}: the displacement at t = 0 is {values[0]:g} m, but the body starts undeformed; "
+            f"let it start from 0 (a ramp), or move the geometry"
+        )

@@ -1,0 +1,19 @@
+"""The one exception for a case that cannot be run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+class CaseError(ValueError):
+    """A case file, an override or an option is at fault.
+
+    Attributes
+    ----------
+    messages : tuple of str
+        Everything that was found, each naming the file, the key, what is wrong with it and what to do.
+    """
+
+    def __init__(self, messages: str | Sequence[str]) -> None:
+        self.messages = (messages,) if isinstance(messages, str) else tuple(messages)
+        super().__init__("\n".join(self.messages))

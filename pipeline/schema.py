@@ -1,0 +1,249 @@
+"""What a case file holds: one model a table, with its units, defaults and limits.
+
+Everything is SI: metres, seconds, kilograms, pascals; angles in degrees.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from phantomnode.pipeline.shapes import (
+    BodyGeometry,
+    CartesianGrid,
+    CurveGeometry,
+    FileGrid,
+    Grid,
+    GridOrName,
+    MappedGrid,
+    PolarGrid,
+)
+from phantomnode.pipeline.values import (
+    Count,
+    Name,
+    Number,
+    Place,
+    Positive,
+    Switch,
+    Table,
+    Vector,
+    expression_of,
+    kind_of_value,
+)
+
+
+class Time(Table):
+    """How long to run and with which step."""
+
+    end: Positive = Field(description="end of the run, s")
+    step: Annotated[
+        Annotated[Literal["auto"], Tag("=text")] | Annotated[Positive, Tag("=number")],
+        Discriminator(kind_of_value),
+    ] = Field(default="auto", description='"auto" (the stable step times safety) or a step in s')
+    safety: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = Field(
+        default=0.85, description="part of the stable step that the automatic step takes"
+    )
+    force: Switch = Field(default=False, description="take the given step even if it is unstable")
+
+
+class Material(Table):
+    """An isotropic Hencky material in plane strain."""
+
+    E: Positive = Field(description="Young's modulus, Pa")
+    nu: Number = Field(description="Poisson's ratio")
+    rho: Positive = Field(description="density, kg/m^3")
+
+    @model_validator(mode="after")
+    def _compressible(self) -> Material:
+        if self.nu == 0.5:
+            raise ValueError(
+                "nu = 0.5 is incompressible: the wave speed is infinite and no step stable; take 0.49"
+            )
+        if not -1.0 < self.nu < 0.5:
+            raise ValueError(f"nu = {self.nu:g} must lie between -1 and 0.5 (0.3 for steel)")
+        return self
+
+
+class Body(Table):
+    """A body: an outline, the grid it is cut out of, a material."""
+
+    geometry: BodyGeometry = Field(description="a file or one shape, and where it goes")
+    grid: GridOrName = Field(description="a grid, or the name of one in [grid]")
+    material: Name = Field(description="name of a material in [material]")
+    initial_velocity: Vector = Field(default=(0.0, 0.0), description="[vx, vy], m/s")
+
+
+class Interface(Table):
+    """A curve that splits a body: an interface or a crack. Its sides are NAME.plus (left) and NAME.minus."""
+
+    body: Name = Field(description="name of the body it splits")
+    geometry: CurveGeometry = Field(description="a file, one shape or a function, and where it goes")
+
+
+class TimesE(Table):
+    """A penalty in multiples of Young's modulus."""
+
+    times_E: Positive | None = Field(
+        default=None, description="penalty, 1/m, in Young's moduli of the slave's body"
+    )
+    value: Positive | None = Field(default=None, description="penalty, Pa/m")
+
+    @model_validator(mode="after")
+    def _one(self) -> TimesE:
+        self.exactly_one("times_E", "value")
+        return self
+
+
+class Contact(Table):
+    """A contact pair: points of the slave do not pass the surface of the master."""
+
+    slave: Place = Field(description='surface whose points are held, "BODY.PART", as "ring.outer"')
+    master: Place = Field(description='surface that holds them, "BODY.PART" or "INTERFACE.plus"')
+    penalty: Annotated[
+        Annotated[Literal["auto"], Tag("=text")] | Annotated[TimesE, Tag("=table")],
+        Discriminator(kind_of_value),
+    ] = Field(default="auto", description='"auto" (5 E/h), { times_E = 100 } or { value = 1e12 } in Pa/m')
+    overlap: Literal["refuse", "offset"] = Field(
+        default="refuse", description="what to do where the surfaces overlap at the start"
+    )
+
+
+class PointTable(Table):
+    """A function of time that is linear between points and constant outside them."""
+
+    t: tuple[Number, ...] = Field(min_length=1, description="times, s, increasing")
+    value: tuple[Number, ...] = Field(min_length=1, description="values at these times")
+
+    @model_validator(mode="after")
+    def _pairs(self) -> PointTable:
+        if len(self.t) != len(self.value):
+            raise ValueError(
+                f"{len(self.t)} times t but {len(self.value)} values; give one value for each time"
+            )
+        if any(later <= earlier for earlier, later in zip(self.t, self.t[1:], strict=False)):
+            raise ValueError(f"t = {list(self.t)} must increase")
+        return self
+
+
+TimeValue = Annotated[
+    Annotated[Number, Tag("=number")]
+    | Annotated[Annotated[str, expression_of("t")], Tag("=text")]
+    | Annotated[PointTable, Tag("=table")],
+    Discriminator(kind_of_value),
+]
+
+
+class Directions(Table):
+    """A prescribed motion by direction; a direction that is left out is free."""
+
+    x: TimeValue | None = Field(
+        default=None, description="a number, an expression of t, or { t = [...], value = [...] }"
+    )
+    y: TimeValue | None = Field(
+        default=None, description="a number, an expression of t, or { t = [...], value = [...] }"
+    )
+
+    @model_validator(mode="after")
+    def _some(self) -> Directions:
+        if self.x is None and self.y is None:
+            raise ValueError("x or y or both must be given")
+        return self
+
+
+class BoxOn(Table):
+    """The nodes of a body inside a box."""
+
+    body: Name = Field(description="name of the body")
+    box: tuple[Vector, Vector] = Field(description="[[x0, y0], [x1, y1]], m")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> BoxOn:
+        if not all(low <= high for low, high in zip(*self.box, strict=True)):
+            raise ValueError("box must be [[left, bottom], [right, top]]")
+        return self
+
+
+class Boundary(Table):
+    """A prescribed motion of a part of a body."""
+
+    on: Annotated[
+        Annotated[Place, Tag("=text")] | Annotated[BoxOn, Tag("=table")], Discriminator(kind_of_value)
+    ] = Field(
+        description='"BODY.PART", as "obstacle.bottom", or { body = "obstacle", box = [[x0, y0], [x1, y1]] }'
+    )
+    displacement: Directions | None = Field(default=None, description="m")
+    velocity: Directions | None = Field(default=None, description="m/s")
+    acceleration: Directions | None = Field(default=None, description="m/s^2")
+
+    @model_validator(mode="after")
+    def _one(self) -> Boundary:
+        self.exactly_one("displacement", "velocity", "acceleration")
+        return self
+
+
+class Relocation(Table):
+    """Grid nodes near an outline are moved onto it."""
+
+    distance: Annotated[float, Field(strict=True, ge=0.0, lt=0.5)] = Field(
+        default=0.1, description="in cell sizes; 0 switches it off"
+    )
+
+
+class Guard(Table):
+    """When to stop a run that goes wrong."""
+
+    energy_error: Positive = Field(
+        default=0.05, description="largest energy error, relative to the largest energy seen"
+    )
+
+
+class Frames(Table):
+    """How often to write."""
+
+    count: Count = Field(description="number of times written after the start, at equal intervals")
+
+
+class Output(Table):
+    """What to write."""
+
+    fields: Frames = Field(default=Frames(count=60), description="fields for ParaView")
+    history: Frames = Field(default=Frames(count=2000), description="rows of history.csv")
+
+
+class Case(Table):
+    """Everything the user said, validated, in SI."""
+
+    title: str = Field(default="", description="one line that says what this is")
+    name: Name = Field(
+        default="case", description="name of the results folder; that of the case unless given"
+    )
+    folder: Path = Field(
+        default=Path("."), description="where files are taken from; the case file's folder unless given"
+    )
+    time: Time = Field(description="{ end = seconds }")
+    gravity: Vector = Field(default=(0.0, 0.0), description="[gx, gy], m/s^2")
+    hourglass: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = Field(
+        default=0.1, description="hourglass stiffness of the uncut elements, 0.05 to 0.15"
+    )
+    material: dict[Name, Material] = Field(min_length=1, description="one table for each material")
+    grid: dict[Name, Grid] = Field(default={}, description="grids that several bodies share")
+    body: dict[Name, Body] = Field(min_length=1, description="one table for each body")
+    interface: dict[Name, Interface] = Field(default={}, description="curves that split bodies")
+    contact: dict[Name, Contact] = Field(default={}, description="contact pairs")
+    boundary: dict[Name, Boundary] = Field(default={}, description="prescribed motions")
+    relocation: Relocation = Field(default=Relocation(), description="{ distance = 0.1 }")
+    guard: Guard = Field(default=Guard(), description="{ energy_error = 0.05 }")
+    output: Output = Field(
+        default=Output(), description="{ fields = { count = 60 }, history = { count = 2000 } }"
+    )
+
+    def path(self, file: str) -> Path:
+        """Where a file named in the case lies."""
+        return self.folder / Path(file).expanduser()
+
+    def grid_of(self, body: str) -> CartesianGrid | PolarGrid | MappedGrid | FileGrid:
+        """The grid of a body, its own or the shared one."""
+        grid = self.body[body].grid
+        return self.grid[grid] if isinstance(grid, str) else grid
