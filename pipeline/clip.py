@@ -1,0 +1,150 @@
+"""What is drawn: every body clipped to its material, deformed with it, and no phantom part.
+
+An uncut element is drawn as its quadrilateral, a cut one as the triangles of its fragment. A point inside
+or on the edge of an element moves with the bilinear interpolation of that element's nodes, real and phantom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.geometry.bilinear import shape, to_local
+from phantomnode.pipeline.prepare import Body, Prepared
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ON_THE_EDGE = 1e-9
+"""Shape functions below this are zero: the point lies on the opposite edge. Far above what Newton's method
+leaves (1e-14), far below float32 (6e-8), in which results are written."""
+SAME_PLACE = 1e-7
+"""Points of neighbouring elements nearer than this times the cell size are one point of the drawing."""
+
+
+@dataclass(frozen=True)
+class ClippedBodies:
+    """All bodies of a case, clipped: what stays the same from frame to frame.
+
+    Cells are the uncut elements in the order of ``model.elements``, then the triangles of the cut elements in
+    the order of ``model.cut_elements``.
+
+    Attributes
+    ----------
+    nodes : (p, 4) int64
+        Nodes of the model that carry each point.
+    weights : (p, 4) float64
+        Their shape functions at the point; they sum to 1.
+    quads : (q, 4) int64
+        Points of each uncut element, counter-clockwise.
+    triangles : (t, 3) int64
+        Points of each triangle of the cut elements, counter-clockwise.
+    body, side : (q + t,) int64
+        Number of the body and of the connected part of that body.
+    fraction : (q + t,) float64
+        Material area over cell area of the element.
+    """
+
+    nodes: Ints
+    weights: Floats
+    quads: Ints
+    triangles: Ints
+    body: Ints
+    side: Ints
+    fraction: Floats
+
+    @classmethod
+    def of(cls, prepared: Prepared) -> ClippedBodies:
+        """Clip the bodies of a prepared case."""
+        quads = prepared.model.elements.nodes
+        nodes, weights, cell = _triangle_corners(prepared.bodies)
+        single = np.count_nonzero(weights, axis=1) == 1
+        own = nodes[np.arange(len(nodes)), np.argmax(weights, axis=1)]  # the node on which a corner stands
+
+        used = np.unique(np.concatenate([quads.ravel(), own[single]]))
+        point_of_node = np.full(len(prepared.model.x), -1)
+        point_of_node[used] = np.arange(len(used))
+        between, place = _merge(nodes[~single], weights[~single], prepared.model.x, cell[~single])
+        corner = np.empty(len(nodes), dtype=np.int64)
+        corner[single] = point_of_node[own[single]]
+        corner[~single] = len(used) + place
+
+        at_nodes = np.column_stack([np.ones(len(used)), np.zeros((len(used), 3))])
+        body, side, fraction = _labels(prepared.bodies)
+        return cls(
+            nodes=np.vstack([np.repeat(used[:, None], 4, axis=1), nodes[~single][between]]),
+            weights=np.vstack([at_nodes, weights[~single][between]]),
+            quads=point_of_node[quads].reshape(-1, 4),
+            triangles=corner.reshape(-1, 3),
+            body=body,
+            side=side,
+            fraction=fraction,
+        )
+
+    def interpolate(self, nodal: Floats) -> Floats:
+        """(p, k) Values at the points from (n, k) values at the nodes of the model."""
+        return np.asarray(np.einsum("pi,pik->pk", self.weights, nodal[self.nodes]))
+
+    def per_cell(self, uncut: Floats, points: Floats) -> Floats:
+        """(q + t, ...) One value a cell from those of uncut elements (q, ...) and integration points (3 t, ...).
+
+        A triangle takes the mean of its three points, which carry equal weights.
+        """
+        means = points.reshape(len(self.triangles), 3, *points.shape[1:]).mean(axis=1)
+        return np.concatenate([uncut, means])
+
+    def outline(self) -> Ints:
+        """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces."""
+        rings = [self.quads, self.triangles]
+        ends = np.concatenate(
+            [np.stack([ring, np.roll(ring, -1, axis=1)], -1).reshape(-1, 2) for ring in rings]
+        )
+        _, first, count = np.unique(np.sort(ends, axis=1), axis=0, return_index=True, return_counts=True)
+        return np.asarray(ends[first[count == 1]])
+
+
+def _triangle_corners(bodies: tuple[Body, ...]) -> tuple[Ints, Floats, Floats]:
+    """Corners of all triangles: (3 t, 4) nodes of the model, (3 t, 4) shape functions, (3 t,) cell size."""
+    nodes, weights, size = [], [], []
+    for body in bodies:
+        mesh = body.mesh
+        parent = np.repeat(mesh.elements[mesh.triangle_element], 3, axis=0)
+        corners = mesh.xy[parent]
+        shapes = shape(to_local(corners, mesh.triangles.reshape(-1, 2)))
+        shapes[np.abs(shapes) < ON_THE_EDGE] = 0.0
+        nodes.append(body.nodes.start + parent)
+        weights.append(shapes / shapes.sum(axis=1, keepdims=True))
+        size.append(np.ptp(corners, axis=1).max(axis=1))
+    return np.concatenate(nodes), np.concatenate(weights), np.concatenate(size)
+
+
+def _merge(nodes: Ints, weights: Floats, x: Floats, size: Floats) -> tuple[Ints, Ints]:
+    """Corners that are one point: on the same place and carried by the same nodes.
+
+    Returns the (r,) corners that represent each point and the (k,) point of each corner. Two sides of a crack
+    stand on the same place but on different nodes, so they stay apart.
+    """
+    if len(nodes) == 0:
+        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    # The offset keeps round coordinates off the steps of the floor, where an ulp would tell neighbours apart.
+    place = np.einsum("pi,pik->pk", weights, x[nodes]) / (SAME_PLACE * size.max())
+    place = np.floor(place + 0.381966).astype(np.int64)
+    carriers = np.sort(np.where(weights == 0.0, -1, nodes), axis=1)
+    _, first, point = np.unique(np.hstack([carriers, place]), axis=0, return_index=True, return_inverse=True)
+    return first, point.reshape(-1)
+
+
+def _labels(bodies: tuple[Body, ...]) -> tuple[Ints, Ints, Floats]:
+    """(q + t,) Body, connected part and material fraction of every cell drawn."""
+    rows = [(k, body.mesh, np.flatnonzero(~body.mesh.cut)) for k, body in enumerate(bodies)]
+    rows += [(k, body.mesh, body.mesh.triangle_element) for k, body in enumerate(bodies)]
+
+    def column(values: list[Ints | Floats]) -> NDArray[np.generic]:
+        return np.concatenate(values)
+
+    body = column([np.full(len(elements), k) for k, _, elements in rows]).astype(np.int64)
+    side = column([mesh.component[elements] for _, mesh, elements in rows]).astype(np.int64)
+    fraction = column([mesh.fraction[elements] for _, mesh, elements in rows]).astype(np.float64)
+    return body, side, fraction

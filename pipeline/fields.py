@@ -1,0 +1,168 @@
+"""fields.pvd and contact.pvd: what ParaView shows of a run.
+
+Every frame of ``fields`` is one unstructured grid of all bodies, clipped to their material (clip.py), with
+its points where they are at that time; ``displacement`` leads back to where they were. Every frame of
+``contact`` holds the slave segments of all pairs as lines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.pipeline.clip import ClippedBodies
+from phantomnode.pipeline.observer import Sampled
+from phantomnode.pipeline.prepare import Floats, Pair, Prepared
+from phantomnode.pipeline.vtu import (
+    VTK_LINE,
+    VTK_QUAD,
+    VTK_TRIANGLE,
+    Cells,
+    Series,
+    cells,
+    vectors,
+    vtu_bytes,
+)
+
+if TYPE_CHECKING:
+    from phantomnode.solver.explicit import Frame
+
+
+class CellFields(NamedTuple):
+    """What the material of each drawn cell is in.
+
+    cauchy (m, 4) stress xx, yy, zz, xy, Pa; hencky (m, 3) strain xx, yy, xy; volume_ratio (m,) J = det F;
+    von_mises (m,) of that stress, Pa.
+    """
+
+    cauchy: Floats
+    hencky: Floats
+    volume_ratio: Floats
+    von_mises: Floats
+
+
+def cell_fields(prepared: Prepared, clipped: ClippedBodies, u: Floats) -> CellFields:
+    """Stress and strain of every drawn cell from (n, 2) nodal displacements.
+
+    A triangle of a cut element takes the means over its integration points; the von Mises stress is that of
+    the mean stress, so that the arrays of a file agree with each other.
+    """
+    from phantomnode.solver.stress import cut_stress, element_stress, von_mises
+
+    uncut = element_stress(prepared.model.elements, u)
+    points = cut_stress(prepared.model.cut_elements, u)
+    cauchy, hencky, ratio = (clipped.per_cell(a, b) for a, b in zip(uncut, points, strict=True))
+    return CellFields(cauchy, hencky, ratio, np.asarray(von_mises(cauchy)))
+
+
+def tensors(xx: Floats, yy: Floats, zz: Floats, xy: Floats) -> Floats:
+    """(m, 6) Symmetric tensors in VTK's order XX YY ZZ XY YZ XZ from their (m,) components."""
+    zero = np.zeros_like(xx)
+    return np.column_stack([xx, yy, zz, xy, zero, zero])
+
+
+class Fields(Sampled):
+    """Writes fields.pvd and, where there are contact pairs, contact.pvd.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    folder : Path
+        The results folder.
+    steps : frozenset of int
+        The steps to write.
+    """
+
+    def __init__(self, prepared: Prepared, folder: Path, steps: frozenset[int]) -> None:
+        super().__init__(steps)
+        self._prepared = prepared
+        self._fields = Series(folder / "fields.pvd")
+        self._contact = Series(folder / "contact.pvd") if prepared.pairs else None
+        self.clipped = ClippedBodies.of(prepared)
+        self._cells = cells((VTK_QUAD, self.clipped.quads), (VTK_TRIANGLE, self.clipped.triangles))
+        self.peak: Frame | None = None
+
+    def take(self, frame: Frame) -> None:
+        """Write one frame; remember the one with the largest internal energy for a picture."""
+        self._fields.add(frame.time, fields_vtu(self._prepared, self.clipped, self._cells, frame))
+        if self._contact is not None:
+            self._contact.add(frame.time, contact_vtu(self._prepared, frame))
+        if self.peak is None or frame.energies.internal > self.peak.energies.internal:
+            self.peak = frame
+
+
+def fields_vtu(prepared: Prepared, clipped: ClippedBodies, grid: Cells, frame: Frame) -> bytes:
+    """The content of one fields file."""
+    u = clipped.interpolate(frame.u)
+    state = cell_fields(prepared, clipped, frame.u)
+    xx, yy, zz, xy = state.cauchy.T
+    exx, eyy, exy = state.hencky.T
+    cell_data: Mapping[str, NDArray[np.generic]] = {
+        "stress": tensors(xx, yy, zz, xy),
+        "von_mises": state.von_mises,
+        "hencky_strain": tensors(exx, eyy, np.zeros_like(exx), exy),  # plane strain: zz is zero
+        "J": state.volume_ratio,
+        "body": clipped.body,
+        "side": clipped.side,
+        "fraction": clipped.fraction,
+    }
+    point_data = {"displacement": vectors(u), "velocity": vectors(clipped.interpolate(frame.v))}
+    return vtu_bytes(clipped.interpolate(prepared.model.x) + u, grid, point_data, cell_data, frame.time)
+
+
+class ContactLines(NamedTuple):
+    """The slave segments of one pair at one time.
+
+    ends (s, 2, 2), m; pressure (s,), Pa, per current length; gap (s,), m: negative where the slave
+    penetrates, NaN where it is open; normal (s, 2): direction of the force on the slave, zero where open.
+    """
+
+    ends: Floats
+    pressure: Floats
+    gap: Floats
+    normal: Floats
+
+
+def contact_lines(prepared: Prepared, number: int, frame: Frame) -> ContactLines:
+    """Pressure and gap on the slave segments of a pair (Eq. 25-27).
+
+    The solver weighs a slave point with its reference length, eps g w its force; on the current length the
+    same force is the pressure eps g w / (w l / L). Points count by their weights in the means of a segment.
+    """
+    pair: Pair = prepared.pairs[number]
+    contact = prepared.model.contact
+    shape = (len(pair.segment_nodes), pair.points_per_segment)
+    weight = contact.slave_weight[pair.points].reshape(shape)
+    depth = np.maximum(frame.gap[pair.points].reshape(shape), 0.0)
+    closed = weight * (depth > 0.0)
+
+    x = (prepared.model.x + frame.u)[pair.segment_nodes]
+    ends = np.stack([np.einsum("si,sik->sk", n, x) for n in (pair.start_shape, pair.end_shape)], axis=1)
+    length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    force = contact.penalty[number] * np.sum(weight * depth, axis=1)
+    pressure = np.where(force > 0.0, force / np.where(length > 0.0, length, np.inf), 0.0)
+
+    share = closed.sum(axis=1)
+    safe = np.where(share > 0.0, share, 1.0)
+    gap = np.where(share > 0.0, -np.sum(closed * depth, axis=1) / safe, np.nan)
+    normal = np.einsum("sg,sgk->sk", closed, frame.normal[pair.points].reshape(*shape, 2))
+    size = np.hypot(*normal.T)
+    return ContactLines(ends, pressure, gap, normal / np.where(size > 0.0, size, 1.0)[:, None])
+
+
+def contact_vtu(prepared: Prepared, frame: Frame) -> bytes:
+    """The content of one contact file: the slave segments of all pairs, ``pair`` counting from 0."""
+    lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
+    points = np.concatenate([pair.ends.reshape(-1, 2) for pair in lines])
+    cell_data = {
+        "pressure": np.concatenate([pair.pressure for pair in lines]),
+        "gap": np.concatenate([pair.gap for pair in lines]),
+        "normal": vectors(np.concatenate([pair.normal for pair in lines])),
+        "pair": np.concatenate([np.full(len(pair.gap), k) for k, pair in enumerate(lines)]),
+    }
+    grid = cells((VTK_LINE, np.arange(len(points)).reshape(-1, 2)))
+    return vtu_bytes(points, grid, {}, cell_data, frame.time)

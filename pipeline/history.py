@@ -1,0 +1,84 @@
+"""history.csv: energies, forces and the motion of every body over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+import numpy as np
+
+from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.observer import Ending, Sampled
+from phantomnode.pipeline.prepare import Floats, Prepared
+
+if TYPE_CHECKING:
+    from phantomnode.solver.explicit import Frame
+
+ENERGIES = ("kinetic", "internal", "hourglass", "contact", "external_work")
+
+
+class History(Sampled):
+    """Writes one line of history.csv at each sample, at once, so that a run can be watched.
+
+    Numbers are written with ``repr``: read back, they are the same float64 to the bit. SI units, forces and
+    energies per metre of thickness. ``contact.NAME.fx`` is the force on the slave, ``reaction.NAME.fx`` the
+    force that a boundary exerts (0 in a direction that it leaves free), ``body.NAME.ux`` the displacement of
+    the centre of mass; the impulses ``contact.NAME.ix`` since the start close the line.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    path : Path
+        The .csv file; replaced where it is there.
+    steps : frozenset of int
+        The steps to write.
+    """
+
+    def __init__(self, prepared: Prepared, path: Path, steps: frozenset[int]) -> None:
+        super().__init__(steps)
+        self._prepared = prepared
+        write_atomically(path, ",".join(columns(prepared)) + "\n")
+        self._file: TextIO = path.open("a", encoding="utf-8", newline="")
+
+    def take(self, frame: Frame) -> None:
+        """Write one line, and let it reach the file."""
+        self._file.write(",".join(repr(float(value)) for value in row(self._prepared, frame)) + "\n")
+        self._file.flush()
+
+    def finish(self, ending: Ending) -> None:
+        """Write the last frame where it is not there yet, and close the file."""
+        super().finish(ending)
+        self._file.close()
+
+
+def columns(prepared: Prepared) -> list[str]:
+    """Names of the columns, in order."""
+    return [
+        "time",
+        *ENERGIES,
+        "energy_error",
+        *(f"contact.{pair.name}.f{axis}" for pair in prepared.pairs for axis in "xy"),
+        *(f"reaction.{boundary.name}.f{axis}" for boundary in prepared.boundaries for axis in "xy"),
+        *(f"body.{body.name}.{value}" for body in prepared.bodies for value in ("ux", "uy", "vx", "vy")),
+        *(f"contact.{pair.name}.i{axis}" for pair in prepared.pairs for axis in "xy"),
+    ]
+
+
+def row(prepared: Prepared, frame: Frame) -> list[float]:
+    """The values of one line, in the order of :func:`columns`."""
+    energies = frame.energies
+    values = [frame.time, *(getattr(energies, name) for name in ENERGIES), frame.energy_error]
+    values.extend(frame.pair_force.ravel())
+    for boundary in prepared.boundaries:
+        values.extend(frame.reaction[channel] if channel >= 0 else 0.0 for channel in boundary.channels)
+    for body in prepared.bodies:
+        mass = prepared.model.mass[body.nodes]
+        values.extend(centre(mass, frame.u[body.nodes]))
+        values.extend(centre(mass, frame.v[body.nodes]))
+    values.extend(frame.pair_impulse.ravel())
+    return values
+
+
+def centre(mass: Floats, nodal: Floats) -> Floats:
+    """(2,) Mass-weighted mean of (n, 2) nodal vectors with (n,) masses."""
+    return np.asarray(mass @ nodal / mass.sum())

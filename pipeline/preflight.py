@@ -1,0 +1,149 @@
+"""The report of ``check``: what a case became, and what running it will take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from phantomnode.pipeline.prepare import Body, Prepared
+from phantomnode.pipeline.summary import areas, doubled_cells, step_set_by
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+UNCUT_COST, POINT_COST, CONTACT_COST = 4e-8, 5e-8, 3e-8
+"""Wall time of an uncut element, an integration point of a cut one and a slave point in one step, s; of the
+order that one core takes, for an estimate."""
+
+
+def steps_of(prepared: Prepared) -> int:
+    """Number of steps to the end of the case; the last one may reach past it by less than a step."""
+    return max(1, int(np.ceil(prepared.case.time.end / prepared.dt - 1e-9)))
+
+
+def estimated_time(prepared: Prepared) -> float:
+    """Wall time of the steps, s, on one core of today; good to a factor of two or three."""
+    model = prepared.model
+    step = (
+        UNCUT_COST * len(model.elements.nodes)
+        + POINT_COST * len(model.cut_elements.weight)
+        + CONTACT_COST * len(model.contact.slave_weight)
+    )
+    return steps_of(prepared) * step
+
+
+def memory(prepared: Prepared) -> int:
+    """Bytes of the model and of the states that a run keeps (running, sampled, best picture)."""
+    nodes = len(prepared.model.x)
+    return sum(array.nbytes for array in _arrays(prepared.model)) + 3 * nodes * 9 * 8
+
+
+def report(prepared: Prepared) -> RenderableType:
+    """The preflight report: bodies, contact pairs, boundaries, the step and what the run will take."""
+    from rich.console import Group
+
+    parts: list[RenderableType] = [
+        _table(("body", "", *(b.name for b in prepared.bodies)), _body_rows(prepared))
+    ]
+    if prepared.pairs:
+        parts.append(
+            _table(
+                ("contact", "slave", "master", "segments", "points", "penalty, Pa/m"), _pair_rows(prepared)
+            )
+        )
+    if prepared.boundaries:
+        parts.append(_table(("boundary", "nodes", "holds"), _boundary_rows(prepared)))
+    parts.append(_table(("run", ""), _run_rows(prepared)))
+    return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in prepared.warnings))
+
+
+def text_report(prepared: Prepared) -> str:
+    """The same as plain text, for run.log."""
+    from io import StringIO
+
+    from rich.console import Console
+
+    console = Console(file=StringIO(), width=110, no_color=True, highlight=False)
+    console.print(report(prepared))
+    return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
+
+
+def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+    """One row a figure, one column a body."""
+    bodies = prepared.bodies
+
+    def row(name: str, unit: str, values: list[str]) -> tuple[str, ...]:
+        return (name, unit, *values)
+
+    yield row("area by CAD", "m^2", [f"{areas(body)['cad']:.8g}" for body in bodies])
+    yield row("area as cut", "m^2", [f"{areas(body)['cut']:.8g}" for body in bodies])
+    yield row("difference", "", [f"{areas(b)['cut'] / areas(b)['cad'] - 1.0:.1e}" for b in bodies])
+    yield row("mass", "kg/m", [f"{prepared.model.mass[body.nodes].sum():.6g}" for body in bodies])
+    yield row("grid cells", "", [str(len(body.grid.quads)) for body in bodies])
+    yield row("elements", "", [str(len(body.mesh.elements)) for body in bodies])
+    yield row("cut", "", [str(np.count_nonzero(body.mesh.cut)) for body in bodies])
+    yield row("cells doubled", "", [str(doubled_cells(body)) for body in bodies])
+    yield row("connected parts", "", [str(_parts(body)) for body in bodies])
+    yield row("nodes", "", [str(len(body.mesh.xy)) for body in bodies])
+    yield row("phantom nodes", "", [str(np.count_nonzero(~body.mesh.real)) for body in bodies])
+    yield row("nodes relocated", "", [str(body.relocated) for body in bodies])
+    yield row("smallest fraction", "", [f"{body.mesh.fraction.min():.3g}" for body in bodies])
+
+
+def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+    for pair, penalty in zip(prepared.pairs, prepared.model.contact.penalty, strict=True):
+        points = pair.points.stop - pair.points.start
+        yield pair.name, pair.slave, pair.master, str(len(pair.segment_nodes)), str(points), f"{penalty:.4g}"
+
+
+def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+    for boundary in prepared.boundaries:
+        held = [axis for axis, channel in zip("xy", boundary.channels, strict=True) if channel >= 0]
+        yield boundary.name, str(len(boundary.nodes)), " and ".join(held)
+
+
+def _run_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+    yield "stable step", f"{prepared.estimate.dt:.4g} s, set by {_escaped(step_set_by(prepared))}"
+    yield "step taken", f"{prepared.dt:.4g} s"
+    yield "steps", f"{steps_of(prepared)} to {prepared.case.time.end:g} s"
+    yield "time needed", f"about {_duration(estimated_time(prepared))} on one core"
+    yield "memory", f"{memory(prepared) / 2**20:.1f} MiB of arrays"
+
+
+def _table(columns: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> RenderableType:
+    from rich.table import Table
+
+    table = Table(*columns, box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for row in rows:
+        table.add_row(*row)
+    table.add_row()
+    return table
+
+
+def _parts(body: Body) -> int:
+    """Number of connected parts of a body."""
+    return len(np.unique(body.mesh.component))
+
+
+def _arrays(value: Any) -> Iterator[np.ndarray[Any, Any]]:
+    """All arrays in nested tuples."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _arrays(item)
+
+
+def _duration(seconds: float) -> str:
+    """A time that people read: "40 s", "3.5 min", "2.1 h"."""
+    if seconds < 90.0:
+        return f"{max(seconds, 1.0):.0f} s"
+    return f"{seconds / 60.0:.1f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)

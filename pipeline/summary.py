@@ -1,0 +1,295 @@
+"""summary.json, and the table that answers whether a run can be trusted."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from phantomnode import __version__
+from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.observer import Ending
+from phantomnode.pipeline.prepare import Body, Prepared
+from phantomnode.pipeline.tally import Tally
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+ENERGY_ERROR = 0.01
+"""A run that loses 1 % of its largest energy is to be looked at; with the automatic step a sound one stays
+below 0.1 % and the energy error falls with the square of the step."""
+MOMENTUM_ERROR = 1e-3
+"""Contact forces are opposite to rounding, so that the impulse misses m dv only by the last half step."""
+SMALLEST_J = 0.1
+"""An element at a tenth of its area is about to invert, and stands for no material."""
+PENETRATION = 0.1
+"""Of the cell size: deeper, the penalty shows in the shape of the contact, and a point may soon get lost."""
+HOURGLASS = 0.1
+"""Of the largest internal energy: the usual limit for one-point elements."""
+
+
+class Check(NamedTuple):
+    """One line of the verdict: a figure, its limit, whether it keeps it, and what to do where it does not."""
+
+    name: str
+    value: float
+    limit: float
+    passed: bool
+    advice: str
+
+
+class Clock(NamedTuple):
+    """Wall times, s: of the whole run, and of the steps alone (compiling included in a first run)."""
+
+    wall: float
+    steps: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """The result of a run.
+
+    Attributes
+    ----------
+    status : str
+        "done", "stopped" (by a guard) or "interrupted".
+    path : Path
+        The results folder.
+    figures : dict
+        The content of summary.json.
+    checks : tuple of Check
+        What the verdict rests on; empty where the run ended before its first frame.
+    """
+
+    status: str
+    path: Path
+    figures: dict[str, Any]
+    checks: tuple[Check, ...]
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the run came to its end and kept every limit."""
+        return self.status == "done" and all(check.passed for check in self.checks)
+
+    def write(self) -> None:
+        """Write summary.json."""
+        text = json.dumps(_plain(self.figures), indent=2, allow_nan=False, ensure_ascii=False)
+        write_atomically(self.path / "summary.json", text + "\n")
+
+
+def summarize(prepared: Prepared, tally: Tally, ending: Ending, clock: Clock, path: Path) -> Summary:
+    """Everything that summary.json holds, from a run that has ended."""
+    case, last = prepared.case, tally.last
+    counts = count(prepared)
+    steps = last.step if last is not None else 0
+    figures: dict[str, Any] = {
+        "version": __version__,
+        "status": ending.status,
+        "reason": ending.reason,
+        "advice": ending.advice,
+        "case": case.name,
+        "title": case.title,
+        "steps": steps,
+        "dt": prepared.dt,
+        "dt_set_by": step_set_by(prepared),
+        "dt_stable": prepared.estimate.dt,
+        "end_time": last.time if last is not None else 0.0,
+        "wall_s": clock.wall,
+        "step_loop_s": clock.steps,
+        "element_updates_per_s": steps * counts["elements"] / clock.steps if clock.steps > 0.0 else 0.0,
+        "counts": counts,
+        "area": {body.name: areas(body) for body in prepared.bodies},
+        "mass": {body.name: float(prepared.model.mass[body.nodes].sum()) for body in prepared.bodies},
+        "warnings": list(prepared.warnings),
+    }
+    checks: tuple[Check, ...] = ()
+    if last is not None:
+        checks = run_checks(prepared, tally)
+        figures |= outcome(prepared, tally)
+        figures["checks"] = [check._asdict() for check in checks]
+    return Summary(ending.status, path, figures, checks)
+
+
+def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
+    """What came out of the run; it has at least one frame."""
+    assert tally.first is not None and tally.last is not None
+    last, momenta = tally.last, {body.name: tally.momentum(body) for body in prepared.bodies}
+    velocities = {body.name: tally.velocity(body) for body in prepared.bodies}
+    pairs = list(enumerate(pair.name for pair in prepared.pairs))
+    return {
+        "energies": last.energies._asdict(),
+        "energies_start": tally.first.energies._asdict(),
+        "energy_error_max": tally.energy_error_max,
+        "hourglass_energy_max": tally.hourglass_max,
+        "internal_energy_max": tally.internal_max,
+        "smallest_J": tally.smallest_j,
+        "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
+        "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},
+        "contact_phases": {name: tally.phases(k) for k, name in pairs},
+        "largest_penetration": {name: float(tally.penetration[k]) for k, name in pairs},
+        "momentum": {
+            name: {"start": m.start, "end": m.end, "impulse": m.impulse, "error": m.error}
+            for name, m in momenta.items()
+        },
+        "velocity": {name: {"start": start, "end": end} for name, (start, end) in velocities.items()},
+    }
+
+
+def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
+    """The figures by which a run is judged, worst body or pair of each."""
+    limit = min(ENERGY_ERROR, prepared.case.guard.energy_error)
+    checks = [
+        _below(
+            "energy error",
+            tally.energy_error_max,
+            limit,
+            "take a smaller step (--set time.step=...); if the error stays, look at the contact pairs",
+        ),
+        _below(
+            "hourglass over internal energy",
+            tally.hourglass_max / tally.internal_max if tally.internal_max > 0.0 else 0.0,
+            HOURGLASS,
+            "take smaller cells where the body bends",
+        ),
+        Check(
+            "smallest J",
+            tally.smallest_j,
+            SMALLEST_J,
+            tally.smallest_j >= SMALLEST_J,
+            "an element is nearly inverted: larger cells there, or a load that crushes less",
+        ),
+    ]
+    errors = [error for body in prepared.bodies if (error := tally.momentum(body).error) is not None]
+    if errors:
+        advice = "a body gains momentum that nothing gives it: please report the case"
+        checks.append(_below("momentum error", max(errors), MOMENTUM_ERROR, advice))
+    if prepared.pairs:
+        deepest = max(tally.penetration[k] / _slave_cell(prepared, k) for k in range(len(prepared.pairs)))
+        advice = "take a stiffer penalty"
+        checks.append(_below("penetration over cell size", float(deepest), PENETRATION, advice))
+    return tuple(checks)
+
+
+def count(prepared: Prepared) -> dict[str, Any]:
+    """Cells, elements and nodes of all bodies; a grid that bodies share counts once."""
+    meshes = [body.mesh for body in prepared.bodies]
+    grids = {id(body.grid): body for body in prepared.bodies}.values()
+    return {
+        "grid_cells": sum(len(body.grid.quads) for body in grids),
+        "elements": sum(len(mesh.elements) for mesh in meshes),
+        "cut": sum(int(np.count_nonzero(mesh.cut)) for mesh in meshes),
+        "doubled": sum(doubled_cells(body) for body in prepared.bodies),
+        "nodes": len(prepared.model.x),
+        "phantom_nodes": sum(int(np.count_nonzero(~mesh.real)) for mesh in meshes),
+        "relocated_nodes": sum(body.relocated for body in prepared.bodies),
+        "smallest_fraction": min(float(mesh.fraction.min()) for mesh in meshes),
+        "contact_points": len(prepared.model.contact.slave_weight),
+    }
+
+
+def doubled_cells(body: Body) -> int:
+    """Number of grid cells that carry more than one element of the body."""
+    return int(np.count_nonzero(np.unique(body.mesh.cell, return_counts=True)[1] > 1))
+
+
+def areas(body: Body) -> dict[str, float]:
+    """Area of a body as cut and by its CAD curves, m^2."""
+    return {"cut": float(body.mesh.area.sum()), "cad": float(sum(region.area for region in body.regions))}
+
+
+def step_set_by(prepared: Prepared) -> str:
+    """What sets the time step, in words."""
+    estimate = prepared.estimate
+    element, contact = estimate.element_frequency, estimate.contact_frequency
+    uncut = len(prepared.model.elements.nodes)
+    kind, number = (
+        ("uncut", estimate.element) if estimate.element < uncut else ("cut", estimate.element - uncut)
+    )
+    slices = [
+        (body.name, body.elements if kind == "uncut" else body.cut_elements) for body in prepared.bodies
+    ]
+    owner = next(name for name, part in slices if part.start <= number < part.stop)
+    share = contact**2 / (element**2 + contact**2)
+    limit = f"{kind} element of body {owner}" + (
+        f", contact {share:.0%} of the frequency^2" if contact else ""
+    )
+    if prepared.case.time.step != "auto":
+        return f"the case (stable: {estimate.dt:.3g} s by {limit})"
+    return limit
+
+
+def verdict(summary: Summary) -> RenderableType:
+    """The panel shown at the end of a run: can it be trusted, and where the results are."""
+    from rich.console import Group
+    from rich.panel import Panel
+    from rich.table import Table
+    from rich.text import Text
+
+    figures, table = summary.figures, Table(box=None, pad_edge=False, show_header=False)
+    for check in summary.checks:
+        mark = Text("PASS", "bold green") if check.passed else Text("WARN", "bold yellow")
+        sign = "above" if check.name == "smallest J" else "below"
+        table.add_row(mark, check.name, f"{check.value:.3g}", f"({sign} {check.limit:g})")
+    lines: list[RenderableType] = [table] if summary.checks else []
+    lines += [Text(f"  {check.name}: {check.advice}") for check in summary.checks if not check.passed]
+    if figures["reason"]:
+        lines += [Text(f"{summary.status}: {figures['reason']}", "bold red")]
+        lines += [Text(figures["advice"])] if figures["advice"] else []
+    lines += [Text(line) for line in highlights(figures)]
+    lines += [Text(f"results   {summary.path}"), Text(f"look at   paraview {summary.path / 'fields.pvd'}")]
+    title = "can be trusted" if summary.trusted else "look before you trust it"
+    style = "green" if summary.trusted else "yellow" if summary.status == "done" else "red"
+    heading = figures["title"] or figures["case"]
+    return Panel(Group(*lines), title=f"{heading}: {summary.status}, {title}", border_style=style)
+
+
+def highlights(figures: dict[str, Any]) -> list[str]:
+    """What came out of a run in a few lines of text."""
+    lines = []
+    for name, phases in figures.get("contact_phases", {}).items():
+        spans = ", ".join(f"{phase.start * 1e3:.3g}..{phase.end * 1e3:.3g} ms" for phase in phases[:6])
+        more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
+        word = "phase" if len(phases) == 1 else "phases"
+        lines.append(f"contact   {name}: {len(phases)} {word} {spans}{more}".rstrip())
+        lines.append(f"          peak force {figures['peak_contact_force'][name]:.4g} N/m")
+    for name, velocity in figures.get("velocity", {}).items():
+        start, end = (f"({v[0]:.4g}, {v[1]:.4g})" for v in (velocity["start"], velocity["end"]))
+        lines.append(f"velocity  {name}: {start} -> {end} m/s, centre of mass")
+    lines.append(
+        f"steps     {figures['steps']} of {figures['dt']:.3g} s in {figures['step_loop_s']:.1f} s "
+        f"({figures['element_updates_per_s'] / 1e6:.1f} million element updates/s), "
+        f"{figures['wall_s']:.1f} s in all"
+    )
+    return lines
+
+
+def _below(name: str, value: float, limit: float, advice: str) -> Check:
+    """A check that a figure keeps below its limit."""
+    return Check(name, value, limit, value <= limit, advice)
+
+
+def _slave_cell(prepared: Prepared, pair: int) -> float:
+    """Cell size of the slave's body, m: the scale on which a penetration is small or not."""
+    from phantomnode.pipeline.tally import pair_bodies
+
+    return pair_bodies(prepared, pair)[0].grid.cell_size
+
+
+def _plain(value: Any) -> Any:
+    """Numbers and lists that JSON knows; what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, tuple | list | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def show(console: Console, summary: Summary) -> None:
+    """Print the verdict."""
+    console.print(verdict(summary))

@@ -1,0 +1,127 @@
+"""What a run adds up to: extremes over its samples, contact phases, momentum."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from phantomnode.pipeline.history import centre
+from phantomnode.pipeline.observer import Ending
+from phantomnode.pipeline.prepare import Body, Floats, Prepared
+
+if TYPE_CHECKING:
+    from phantomnode.solver.explicit import Frame
+
+REST = 1e-9
+"""A change of momentum below this times m |v|_max is none: rounding over 1e5 steps leaves about 1e-11."""
+
+
+class Phase(NamedTuple):
+    """A time in which a pair was in contact, seen at the samples: first and last one with a force, s."""
+
+    start: float
+    end: float
+
+
+class Momentum(NamedTuple):
+    """Linear momentum of a body, kg m/s per metre: (2,) each.
+
+    impulse: of its contact pairs and of gravity, over the run; error: |change - impulse| over the larger of
+    the two, in the directions without a prescribed motion; None where both directions have one.
+    """
+
+    start: Floats
+    end: Floats
+    impulse: Floats
+    error: float | None
+
+
+class Tally:
+    """Looks at every frame of a run and keeps what the summary needs."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        self._prepared = prepared
+        self.first: Frame | None = None
+        self.last: Frame | None = None
+        self.energy_error_max = 0.0
+        self.hourglass_max = 0.0
+        self.internal_max = 0.0
+        self.speed_max = 0.0
+        self.smallest_j = np.inf
+        self.penetration = np.zeros(len(prepared.pairs))
+        self._times: list[float] = []
+        self._touching: list[Floats] = []
+
+    def due(self, step: int) -> bool:
+        """Every frame."""
+        return True
+
+    def frame(self, frame: Frame) -> None:
+        """Add one frame."""
+        if self.first is None:
+            self.first = frame
+        self.last = frame
+        self.energy_error_max = max(self.energy_error_max, abs(frame.energy_error))
+        self.hourglass_max = max(self.hourglass_max, frame.energies.hourglass)
+        self.internal_max = max(self.internal_max, frame.energies.internal)
+        self.speed_max = max(self.speed_max, float(np.max(np.hypot(*frame.v.T), initial=0.0)))
+        self.smallest_j = min(self.smallest_j, frame.smallest_j)
+        for k, pair in enumerate(self._prepared.pairs):
+            deepest = np.max(frame.gap[pair.points], initial=0.0)
+            self.penetration[k] = max(self.penetration[k], deepest)
+        self._times.append(frame.time)
+        self._touching.append(np.hypot(*frame.pair_force.T) > 0.0)
+
+    def finish(self, ending: Ending) -> None:
+        """Add the last good frame of a run that was stopped between samples."""
+        if ending.frame is not None and (self.last is None or ending.frame.step > self.last.step):
+            self.frame(ending.frame)
+
+    def phases(self, pair: int) -> list[Phase]:
+        """The contact phases of a pair, in order; a break shorter than the samples' distance is not seen."""
+        if not self._times:
+            return []
+        touching = np.array([sample[pair] for sample in self._touching])
+        turns = np.diff(np.concatenate([[False], touching, [False]]).astype(np.int8))
+        starts, ends = np.flatnonzero(turns == 1), np.flatnonzero(turns == -1) - 1
+        return [Phase(self._times[a], self._times[b]) for a, b in zip(starts, ends, strict=True)]
+
+    def momentum(self, body: Body) -> Momentum:
+        """The momentum balance of a body over the run; needs at least one frame."""
+        assert self.first is not None and self.last is not None
+        model = self._prepared.model
+        mass = model.mass[body.nodes]
+        start, end = mass @ self.first.v[body.nodes], mass @ self.last.v[body.nodes]
+        impulse = model.load[body.nodes].sum(axis=0) * (self.last.time - self.first.time)
+        for k in range(len(self._prepared.pairs)):
+            slave, master = pair_bodies(self._prepared, k)
+            during = self.last.pair_impulse[k] - self.first.pair_impulse[k]
+            impulse = impulse + during * (int(slave is body) - int(master is body))
+        free = np.all(model.channel[body.nodes] < 0, axis=0)
+        error = None
+        if np.any(free):
+            change, given = (end - start)[free], impulse[free]
+            size = max(float(np.hypot.reduce(change)), float(np.hypot.reduce(given)))
+            rest = REST * float(mass.sum()) * self.speed_max
+            error = float(np.hypot.reduce(change - given)) / size if size > rest else 0.0
+        return Momentum(start, end, impulse, error)
+
+    def velocity(self, body: Body) -> tuple[Floats, Floats]:
+        """Velocity of the centre of mass at the start and at the end, m/s, (2,) each."""
+        assert self.first is not None and self.last is not None
+        mass = self._prepared.model.mass[body.nodes]
+        return centre(mass, self.first.v[body.nodes]), centre(mass, self.last.v[body.nodes])
+
+
+def pair_bodies(prepared: Prepared, pair: int) -> tuple[Body, Body]:
+    """The bodies that carry the slave and the master side of a contact pair."""
+    contact = prepared.model.contact
+    slave = contact.slave_nodes[contact.slave_first[pair], 0]
+    master = contact.master_nodes[contact.master_first[pair], 0]
+    return body_of_node(prepared, int(slave)), body_of_node(prepared, int(master))
+
+
+def body_of_node(prepared: Prepared, node: int) -> Body:
+    """The body to which a node of the model belongs."""
+    return next(body for body in prepared.bodies if body.nodes.start <= node < body.nodes.stop)
