@@ -68,7 +68,7 @@ def fragment_elements(
 
 @njit(cache=True, error_model="numpy")
 def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
-    """Add the internal forces of the cut elements to (n, 2) force, N/m; the smallest J met, NaN where one is lost."""
+    """Add the internal forces of the cut elements to (n, 2) force, N/m; the smallest J met, NaN where one is not finite."""
     smallest, lost = math.inf, False
     for e in range(len(cut.lame)):
         nodes = cut.nodes[e]
@@ -76,7 +76,7 @@ def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
             gradient, w = cut.gradient[p], cut.weight[p]
             h11, h12, h21, h22 = displacement_gradient(nodes, gradient, u)
             p11, p12, p21, p22, j = first_piola(h11, h12, h21, h22, cut.lame[e], cut.shear[e])
-            smallest, lost = min(smallest, j), lost or not j > -math.inf
+            smallest, lost = min(smallest, j), lost or not j < math.inf
             for i in range(4):
                 force[nodes[i], 0] -= w * (p11 * gradient[i, 0] + p12 * gradient[i, 1])
                 force[nodes[i], 1] -= w * (p21 * gradient[i, 0] + p22 * gradient[i, 1])

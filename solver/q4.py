@@ -96,7 +96,7 @@ def displacement_gradient(nodes: Ints, gradient: Floats, u: Floats) -> tuple[flo
 
 @njit(cache=True, error_model="numpy")
 def hourglass_mode(nodes: Ints, gamma: Floats, u: Floats) -> tuple[float, float]:
-    """gamma . u in both directions, metres."""
+    """Hourglass mode gamma . u in both directions, metres."""
     qx, qy = 0.0, 0.0
     for i in range(4):
         qx += gamma[i] * u[nodes[i], 0]
@@ -106,7 +106,7 @@ def hourglass_mode(nodes: Ints, gamma: Floats, u: Floats) -> tuple[float, float]
 
 @njit(cache=True, error_model="numpy")
 def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
-    """Add the internal and hourglass forces of the uncut elements; the smallest J met, NaN where one is lost.
+    """Add the internal and hourglass forces of the uncut elements; the smallest J met, NaN where one is not finite.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
         h11, h12, h21, h22 = displacement_gradient(nodes, gradient, u)
         qx, qy = hourglass_mode(nodes, gamma, u)
         p11, p12, p21, p22, j = first_piola(h11, h12, h21, h22, elements.lame[e], elements.shear[e])
-        smallest, lost = min(smallest, j), lost or not j > -math.inf
+        smallest, lost = min(smallest, j), lost or not j < math.inf
         v, k = elements.volume[e], elements.hourglass[e]
         for i in range(4):
             force[nodes[i], 0] -= v * (p11 * gradient[i, 0] + p12 * gradient[i, 1]) + k * qx * gamma[i]

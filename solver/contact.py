@@ -1,0 +1,162 @@
+"""Frictionless penalty contact between slave points and the signed distance to the master surface (Eq. 22-28).
+
+The penetration g of a slave point is its depth in the polyline of master segments: the distance of the closest
+point, vertices included, positive inside the material. The contact energy is the sum of eps w g^2/2 with w the
+reference length of the point, and the forces are its exact gradient, so energy and momentum balance: along the
+normal of a segment in its interior, along the radius at a vertex. The force on the master goes to the nodes of
+the two ends of the segment with (1 - t) N_I(a) + t N_I(b); N_I at the projected point (Eq. 28 read literally)
+would be the gradient of no energy once the element is deformed.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phantomnode.solver.model import Contact
+from phantomnode.solver.search import Candidates, closest, position
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+OPEN = -1e300
+"""The gap of a slave point that touches nothing."""
+
+
+@njit(cache=True, error_model="numpy")
+def outward_normal(ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
+    """Unit normal on the right of the segment a-b; (0, 0) where it has no length."""
+    dx, dy = bx - ax, by - ay
+    length = math.sqrt(dx * dx + dy * dy)
+    return (dy / length, -dx / length) if length > 0.0 else (0.0, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def segment_normal(contact: Contact, s: int, x: Floats, u: Floats) -> tuple[float, float]:
+    """Current outward unit normal of master segment s."""
+    ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
+    bx, by = position(contact.master_nodes[s], contact.end_shape[s], x, u)
+    return outward_normal(ax, ay, bx, by)
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_segment(
+    contact: Contact, segments: Ints, first: int, last: int, px: float, py: float, x: Floats, u: Floats
+) -> tuple[float, int, float]:
+    """Nearest of segments[first:last] to the point p: squared distance, m^2, number, and parameter t there.
+
+    Of equally near ones the first (that is, the lowest number) is taken.
+    """
+    best, nearest, t_best = math.inf, -1, 0.0
+    for c in range(first, last):
+        s = segments[c]
+        ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
+        bx, by = position(contact.master_nodes[s], contact.end_shape[s], x, u)
+        d2, t = closest(px, py, ax, ay, bx, by)
+        if d2 < best:
+            best, nearest, t_best = d2, s, t
+    return best, nearest, t_best
+
+
+@njit(cache=True, error_model="numpy")
+def depth_at(
+    contact: Contact, s: int, t: float, px: float, py: float, x: Floats, u: Floats
+) -> tuple[float, float, float, float]:
+    """Depth of the point p below the closest point t of master segment s.
+
+    At a vertex between two segments the sum of their normals tells inside from outside, and the direction is
+    radial. Beyond a free end the segment is taken as extended: its own normal alone decides.
+
+    Returns
+    -------
+    gap, nx, ny, t : float
+        Penetration, m, negative outside; direction of the force on the slave; where on the segment it acts.
+    """
+    ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
+    bx, by = position(contact.master_nodes[s], contact.end_shape[s], x, u)
+    nx, ny = outward_normal(ax, ay, bx, by)
+    neighbour = -1
+    if t == 0.0:
+        neighbour = contact.previous[s]
+    elif t == 1.0:
+        neighbour = contact.following[s]
+    if (t == 0.0 or t == 1.0) and neighbour >= 0:
+        rx, ry = (ax - px, ay - py) if t == 0.0 else (bx - px, by - py)
+        distance = math.sqrt(rx * rx + ry * ry)
+        if distance == 0.0:
+            return 0.0, nx, ny, t
+        ox, oy = segment_normal(contact, neighbour, x, u)
+        if rx * (nx + ox) + ry * (ny + oy) > 0.0:
+            return distance, rx / distance, ry / distance, t
+        return -distance, -rx / distance, -ry / distance, t
+    dx, dy = bx - ax, by - ay
+    length2 = dx * dx + dy * dy
+    free = ((px - ax) * dx + (py - ay) * dy) / length2 if length2 > 0.0 else 0.0
+    return (ax - px) * nx + (ay - py) * ny, nx, ny, free
+
+
+@njit(cache=True, error_model="numpy")
+def add_contact_forces(
+    contact: Contact,
+    candidates: Candidates,
+    x: Floats,
+    u: Floats,
+    force: Floats,
+    pair_force: Floats,
+    gap: Floats,
+    normal: Floats,
+) -> None:
+    """Add the contact forces to ``force`` and record them.
+
+    Parameters
+    ----------
+    contact : Contact
+    candidates : Candidates
+        Every segment within reach of every point, from :func:`phantomnode.solver.search.build_candidates`.
+    x, u : (n, 2) float64, metres
+    force : (n, 2) float64, N/m
+        Added to, in the order of the slave points.
+    pair_force : (k, 2) float64, N/m
+        Overwritten: force on the slave of each pair.
+    gap : (g,) float64, metres
+        Penetration of each candidate point, ``OPEN`` where it touches nothing.
+    normal : (g, 2) float64
+        Overwritten where closed: direction of the force on the slave.
+    """
+    for k in range(len(contact.penalty)):
+        total_x, total_y = 0.0, 0.0
+        reach2 = contact.reach[k] * contact.reach[k]
+        for i in range(candidates.near_first[k], candidates.near_first[k + 1]):
+            g = candidates.near[i]
+            gap[g] = OPEN
+            px, py = position(contact.slave_nodes[g], contact.slave_shape[g], x, u)
+            first, last = candidates.first[i], candidates.first[i + 1]
+            d2, s, t = nearest_segment(contact, candidates.segments, first, last, px, py, x, u)
+            if d2 > reach2:
+                continue
+            depth, nx, ny, t = depth_at(contact, s, t, px, py, x, u)
+            if depth <= 0.0:
+                continue
+            pressure = contact.penalty[k] * contact.slave_weight[g] * depth
+            fx, fy = pressure * nx, pressure * ny
+            for c in range(4):
+                n, share = contact.slave_nodes[g, c], contact.slave_shape[g, c]
+                force[n, 0] += share * fx
+                force[n, 1] += share * fy
+                share = (1.0 - t) * contact.start_shape[s, c] + t * contact.end_shape[s, c]
+                n = contact.master_nodes[s, c]
+                force[n, 0] -= share * fx
+                force[n, 1] -= share * fy
+            total_x += fx
+            total_y += fy
+            gap[g], normal[g, 0], normal[g, 1] = depth, nx, ny
+        pair_force[k, 0], pair_force[k, 1] = total_x, total_y
+
+
+def contact_energy(contact: Contact, gap: Floats) -> float:
+    """Energy sum eps w g^2/2 of the closed points, J/m, from their (g,) gaps, m."""
+    penalty = np.repeat(contact.penalty, np.diff(contact.slave_first))
+    return float(0.5 * np.sum(penalty * contact.slave_weight * np.maximum(gap, 0.0) ** 2))

@@ -1,0 +1,229 @@
+"""A run as a sequence of frames: the state at chosen steps, with the energy balance, and the guards.
+
+Fields of a frame belong to one time: the velocity is v(n) = v(n-1/2) + dt/2 a(n), the reaction and the work are
+completed to the same time with the last known acceleration of the prescribed nodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.solver.contact import contact_energy
+from phantomnode.solver.cut_elements import cut_energy
+from phantomnode.solver.explicit import DONE, advance, initial_state
+from phantomnode.solver.model import Energies, Model, State
+from phantomnode.solver.q4 import element_energies
+from phantomnode.solver.search import prepare_search
+from phantomnode.solver.stress import cut_stress, element_stress
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+CHUNK = 4096
+"""Most steps between two looks at the guards and at the keyboard."""
+
+
+class Motion(Protocol):
+    """The prescribed motions."""
+
+    def increments(self, first_step: int, steps: int, dt: float) -> Floats:
+        """(steps, channels) Displacement increments, m, over the steps that begin at first_step*dt, ..."""
+
+
+class Frame(NamedTuple):
+    """The state at one time.
+
+    time, s; step; u (n, 2), m; v (n, 2), m/s; energies; energy_error: |kinetic + internal + hourglass + contact -
+    external work - what there was at time 0| over the largest energy seen so far; reaction (channels,) force that
+    each prescribed motion exerts, N/m; pair_force (k, 2) force on the slave of each pair, N/m; pair_impulse (k, 2)
+    its time integral, N s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration or -1e300 where
+    open, m; normal (g, 2) direction of the force on the slave; smallest_j: smallest J = det F; state, initial_energy
+    and largest_energy: what a run needs to be resumed from here.
+    """
+
+    time: float
+    step: int
+    u: Floats
+    v: Floats
+    energies: Energies
+    energy_error: float
+    reaction: Floats
+    pair_force: Floats
+    pair_impulse: Floats
+    pair_peak: Floats
+    gap: Floats
+    normal: Floats
+    smallest_j: float
+    state: State
+    initial_energy: float
+    largest_energy: float
+
+
+class RunStopped(RuntimeError):
+    """A guard stopped the run.
+
+    Attributes
+    ----------
+    reason, advice : str
+        What went wrong, where and when; what to do.
+    last_good : Frame
+        The last frame before.
+    """
+
+    def __init__(self, reason: str, advice: str, last_good: Frame) -> None:
+        super().__init__(f"{reason}; {advice}")
+        self.reason = reason
+        self.advice = advice
+        self.last_good = last_good
+
+
+def energies(model: Model, state: State, dt: float) -> Energies:
+    """Energies at the time of the displacement, J/m; exact stored-energy functions.
+
+    The kinetic energy is that of :func:`velocity`; the work done so far is that of reactions and loads.
+    """
+    v, reaction = velocity(state, dt), _nodal_reaction(model, state)
+    half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
+    last_half_step = half * 0.5 * float(np.sum(reaction * (state.v + v)))
+    internal, hourglass = element_energies(model.elements, state.u)
+    return Energies(
+        kinetic=0.5 * float(np.sum(model.mass[:, None] * v**2)),
+        internal=internal + cut_energy(model.cut_elements, state.u),
+        hourglass=hourglass,
+        contact=contact_energy(model.contact, state.gap),
+        external_work=float(state.external[0]) + last_half_step + float(np.sum(model.load * state.u)),
+    )
+
+
+def velocity(state: State, dt: float) -> Floats:
+    """(n, 2) Velocity at the time of the displacement, v(n) = v(n-1/2) + dt/2 a(n), m/s."""
+    return state.v.copy() if state.clock[1] == 0.0 else state.v + 0.5 * dt * state.a
+
+
+def _nodal_reaction(model: Model, state: State) -> Floats:
+    """(n, 2) What the prescribed motion exerts on each degree of freedom, N/m; zero on free ones."""
+    return np.where(model.channel >= 0, model.mass[:, None] * state.a - state.force, 0.0)
+
+
+def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame:
+    """The frame of a state; ``before`` is the last one, from which the balance goes on."""
+    now = energies(model, state, dt)
+    stored = now.internal + now.hourglass + now.contact
+    total = now.kinetic + stored - now.external_work
+    initial = before.initial_energy if before else total
+    largest = max(now.kinetic, stored, abs(now.external_work), before.largest_energy if before else 0.0)
+    held = model.channel >= 0
+    copy = State(*(field.copy() for field in state))
+    half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
+    return Frame(
+        time=float(state.clock[0]),
+        step=int(state.clock[1]),
+        u=copy.u,
+        v=velocity(state, dt),
+        energies=now,
+        energy_error=abs(total - initial) / largest if largest > 0.0 else 0.0,
+        reaction=np.bincount(
+            model.channel[held], weights=_nodal_reaction(model, state)[held], minlength=model.channels
+        ),
+        pair_force=copy.pair_force,
+        pair_impulse=copy.pair_impulse + half * copy.pair_force,
+        pair_peak=copy.pair_peak,
+        gap=copy.gap,
+        normal=copy.normal,
+        smallest_j=float(state.smallest_j[0]),
+        state=copy,
+        initial_energy=initial,
+        largest_energy=largest,
+    )
+
+
+def frames(
+    model: Model,
+    velocity: Floats,
+    dt: float,
+    steps_at: Ints,
+    motion: Motion,
+    guard: float,
+    resume: Frame | None = None,
+) -> Iterator[Frame]:
+    """Run a model and yield its frames.
+
+    Parameters
+    ----------
+    model : Model
+    velocity : (n, 2) float64, m/s
+        Initial velocity; prescribed degrees of freedom start with that of their motion instead, so that a
+        motion that sets in at full speed needs no infinite force.
+    dt : float, s
+    steps_at : (f,) int64
+        Numbers of the steps after which a frame is due, ascending; 0 is the initial state.
+    motion : Motion
+    guard : float
+        The largest energy error that is let pass.
+    resume : Frame or None
+        Go on from this frame (only its ``state``, ``initial_energy`` and ``largest_energy`` are used); steps up
+        to it are not yielded again. The result is the same, to the bit, as without the interruption.
+
+    Raises
+    ------
+    RunStopped
+        When the energy error exceeds the guard, or an element is inverted or not finite.
+    """
+    search = prepare_search(model.contact)
+    if resume is None:
+        start = np.array(velocity, dtype=np.float64)
+        held = model.channel >= 0
+        start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
+        state = initial_state(model, start, search)
+        last = _frame(model, state, dt, None)
+        if len(steps_at) and steps_at[0] == 0:
+            yield last
+    else:
+        state, last = State(*(field.copy() for field in resume.state)), resume
+    for target in steps_at[np.asarray(steps_at) > last.step]:
+        done = last.step
+        while done < target:
+            steps = min(CHUNK, int(target) - done)
+            increments = np.ascontiguousarray(motion.increments(done, steps, dt), dtype=np.float64)
+            if advance(model, state, search, dt, increments) != DONE:
+                raise _broken(model, state, last)
+            done += steps
+            frame = _frame(model, state, dt, last)
+            if not frame.energy_error <= guard:
+                raise _unbalanced(frame, guard, last)
+            last = frame
+        yield last
+
+
+def _broken(model: Model, state: State, last: Frame) -> RunStopped:
+    """The elements are inverted or not finite: say which, where and when."""
+    j = np.concatenate(
+        [element_stress(model.elements, state.u)[2], cut_stress(model.cut_elements, state.u)[2]]
+    )
+    first = model.cut_elements.first
+    owner = np.repeat(np.arange(len(first) - 1) + len(model.elements.volume), np.diff(first))
+    worst = int(np.argmin(np.where(np.isfinite(j), j, -np.inf)))
+    element = int(np.concatenate([np.arange(len(model.elements.volume)), owner])[worst])
+    nodes = np.concatenate([model.elements.nodes, model.cut_elements.nodes])[element]
+    x, y = model.x[nodes].mean(axis=0)
+    kind = "inverted" if np.isfinite(j[worst]) else "no longer finite"
+    return RunStopped(
+        f"element {element} (at x = {x:.6g}, y = {y:.6g} in the undeformed body) is {kind}, J = {j[worst]:.3g}, "
+        f"at t = {state.clock[0]:.6g} s, step {int(state.clock[1])}",
+        "take a smaller time step, a finer grid there or a smaller load; look at the last good state",
+        last,
+    )
+
+
+def _unbalanced(frame: Frame, guard: float, last: Frame) -> RunStopped:
+    """The energy balance is lost."""
+    return RunStopped(
+        f"the energy error is {frame.energy_error:.3g} of the largest energy (allowed: {guard:.3g}) "
+        f"at t = {frame.time:.6g} s, step {frame.step}",
+        "take a smaller time step, or a lower contact penalty; look at the last good state",
+        last,
+    )
