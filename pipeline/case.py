@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -92,7 +93,14 @@ def case_from_table(table: Mapping[str, Any], folder: Path = Path("."), name: st
 
 def resolved_toml(case: Case) -> str:
     """The case as TOML with every default spelled out; it loads back to an equal case from anywhere."""
-    return tomli_w.dumps(case.model_dump(mode="json", exclude_none=True))
+    text = tomli_w.dumps(case.model_dump(mode="json", exclude_none=True))
+    # tomli_w gives every number of a list its own line; a vector reads better on one.
+    return re.sub(r"\[\n(?:\s+[-+0-9.e]+,\n)+\s*\]", _on_one_line, text)
+
+
+def _on_one_line(numbers: re.Match[str]) -> str:
+    """A list of numbers, written over several lines, on one."""
+    return f"[{' '.join(numbers[0].strip('[]').split()).rstrip(',')}]"
 
 
 def json_schema() -> dict[str, Any]:

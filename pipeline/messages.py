@@ -51,7 +51,10 @@ def describe(errors: ValidationError, table: Mapping[str, Any]) -> list[str]:
     list of str
         Each starts with the key path, such as ``body.ring.initial_velocity``.
     """
-    return [_describe(error, table) for error in errors.errors(include_url=False)]
+    found = errors.errors(include_url=False)
+    # A list is also called too short when entries of it are faulty; their own messages say it better.
+    kept = [e for e in found if e["type"] != "too_short" or not any(_inside(other, e) for other in found)]
+    return [_describe(error, table) for error in kept]
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -78,10 +81,20 @@ def shown(value: Any) -> str:
 def _toml_inline(value: Any) -> str:
     """A list or table on one line."""
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {shown(item)}" for key, item in value.items()) + " }"
+        return (
+            "{}"
+            if not value
+            else "{ " + ", ".join(f"{key} = {shown(item)}" for key, item in value.items()) + " }"
+        )
     if isinstance(value, Sequence) and not isinstance(value, str):
         return "[" + ", ".join(shown(item) for item in value) + "]"
     return str(value)
+
+
+def _inside(inner: ErrorDetails, outer: ErrorDetails) -> bool:
+    """Whether an error lies deeper at the same location as another."""
+    depth = len(outer["loc"])
+    return len(inner["loc"]) > depth and inner["loc"][:depth] == outer["loc"]
 
 
 def _describe(error: ErrorDetails, table: Mapping[str, Any]) -> str:

@@ -51,8 +51,8 @@ def _apply(table: dict[str, Any], override: str) -> None:
         raise CaseError(
             f"unknown key {keys[0]!r}{suggestion(keys[0], Case.model_fields)}; a case knows {known}"
         )
-    if keys[0] in _NAMED and len(keys) > 2 and keys[1] not in table.get(keys[0], {}):
-        names = table.get(keys[0], {})
+    names = table.get(keys[0], {})
+    if keys[0] in _NAMED and len(keys) > 2 and isinstance(names, dict) and keys[1] not in names:
         raise CaseError(
             f"there is no {keys[0]} {keys[1]!r}{suggestion(keys[1], names)}; this case has {listed(names)}"
         )

@@ -39,8 +39,8 @@ def kind_of_grid(value: Any) -> str:
     """The tag of a grid: its name, its kind, or a file."""
     if isinstance(value, str):
         return "=text"
-    get = value.get if isinstance(value, dict) else lambda key: getattr(value, key, None)
-    return "=file" if get("kind") is None and get("file") is not None else f"={get('kind')}"
+    table = value if isinstance(value, dict) else vars(value) if isinstance(value, BaseModel) else {}
+    return "=file" if "kind" not in table and "file" in table else f"={table.get('kind')}"
 
 
 def expression_of(variable: str) -> AfterValidator:

@@ -1,0 +1,252 @@
+"""The command line: ``phantomnode run | check | cases | new | schema``.
+
+Everything heavy is imported inside the commands, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import App, Parameter
+
+import phantomnode
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from phantomnode.pipeline.schema import Case
+
+DONE, INPUT_AT_FAULT, STOPPED, INTERRUPTED = 0, 2, 3, 130
+"""Exit codes: done; the input is at fault; stopped by a guard; interrupted (the state is written)."""
+
+RESULTS = Path("results")
+
+CaseSource = Annotated[
+    str,
+    Parameter(name="CASE", help="A case file, a folder that holds case.toml, or the name of a bundled case."),
+]
+Overrides = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--set",
+        negative=(),
+        show_default=False,
+        help="Change any key of the case, as in --set time.end=0.005; can be repeated. The value is TOML; a number "
+        "in the path is the place in a list, counted from 0.",
+    ),
+]
+
+app = App(
+    name="phantomnode",
+    version=phantomnode.__version__,
+    help="""From a CAD curve to a dynamic contact-impact run in ParaView, with no mesh that fits the geometry.
+
+Start with `phantomnode run ring_impact`, or with `phantomnode new my_case` for a case of your own.
+
+Exit codes: 0 done, 2 the input is at fault, 3 a guard stopped the run, 130 interrupted.""",
+    help_format="markdown",
+)
+
+
+@app.command
+def run(
+    case: CaseSource,
+    /,
+    *,
+    out: Annotated[
+        Path | None, Parameter(help="Folder for the results; results/NAME (or NAME-2, ...) unless given.")
+    ] = None,
+    set_: Overrides = (),
+    overwrite: Annotated[
+        bool, Parameter(negative=(), show_default=False, help="Write over a finished run in --out.")
+    ] = False,
+) -> int:
+    """Run a case and write its results.
+
+    For example:
+
+    ```
+    phantomnode run ring_impact
+    phantomnode run ring_impact --set body.ring.initial_velocity=[0,-100] --out fast
+    phantomnode run my_case/case.toml --set time.end=0.002 --set time.step=1e-7
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.case import find_case, load_case
+        from phantomnode.pipeline.run import run as run_case
+
+        loaded = load_case(case, set_)
+        folder = results_folder(loaded, out, find_case(case), overwrite)
+        summary = run_case(loaded, folder, console=console, command=("phantomnode", *sys.argv[1:]))
+        return {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}[summary.status]
+
+    return _guarded(command)
+
+
+@app.command
+def check(
+    case: CaseSource,
+    /,
+    *,
+    out: Annotated[
+        Path | None, Parameter(help="Folder for preview.png and preview.vtu; results/NAME unless given.")
+    ] = None,
+    set_: Overrides = (),
+) -> int:
+    """Validate and prepare a case, report what a run would do, draw a preview; run no step.
+
+    For example:
+
+    ```
+    phantomnode check ring_impact
+    phantomnode check my_case --set body.disc.grid.cell=0.002
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.case import load_case
+        from phantomnode.pipeline.run import check as check_case
+
+        loaded = load_case(case, set_)
+        check_case(loaded, out or RESULTS / loaded.name, console=console)
+        return DONE
+
+    return _guarded(command)
+
+
+@app.command
+def cases() -> int:
+    """List the bundled cases; their names work wherever a CASE is asked for."""
+
+    def command(console: Console) -> int:
+        import tomllib
+
+        from phantomnode.pipeline.case import bundled_cases
+
+        found = bundled_cases()
+        width = max(map(len, found))
+        for name, file in found.items():
+            title = tomllib.loads(file.read_text(encoding="utf-8")).get("title", "")
+            console.print(f"[bold]{name:{width}}[/]  {title}", highlight=False)
+        console.print(f"\nRun one: phantomnode run {next(iter(found))}", highlight=False)
+        return DONE
+
+    return _guarded(command)
+
+
+@app.command
+def new(
+    name: Annotated[str, Parameter(name="NAME", help="The folder to make; its last part names the case.")], /
+) -> int:
+    """Write a commented starter case: a disc from a DXF drawing falls on a block.
+
+    For example:
+
+    ```
+    phantomnode new my_case && phantomnode run my_case
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.starter import write_starter
+
+        folder = write_starter(Path(name))
+        console.print(
+            f"Wrote {folder / 'case.toml'} and {folder / 'disc.dxf'}.", highlight=False, soft_wrap=True
+        )
+        console.print(f"Run it:  phantomnode run {name}", highlight=False, soft_wrap=True)
+        return DONE
+
+    return _guarded(command)
+
+
+@app.command
+def schema() -> int:
+    """Print the JSON schema of a case file, for editors that complete and check TOML.
+
+    For example:
+
+    ```
+    phantomnode schema > case.schema.json
+    ```
+    """
+    import json
+
+    from phantomnode.pipeline.case import json_schema
+
+    print(json.dumps(json_schema(), indent=2))
+    return DONE
+
+
+def results_folder(case: Case, out: Path | None, source: Path, overwrite: bool = False) -> Path:
+    """Where the results of a run go, such that no finished run is lost.
+
+    Parameters
+    ----------
+    case : Case
+    out : Path or None
+        The folder that was asked for; None for the first free one of results/NAME, results/NAME-2, ...
+    source : Path
+        The case file.
+    overwrite : bool
+        Whether a finished run in ``out`` may be written over.
+
+    Raises
+    ------
+    CaseError
+        If ``out`` holds a finished run, the case file itself, or is no folder.
+    """
+    from phantomnode.pipeline.errors import CaseError
+
+    if out is None:
+        number = 1
+        while (folder := RESULTS / (case.name if number == 1 else f"{case.name}-{number}")).is_dir():
+            if not (folder / "summary.json").exists():
+                break
+            number += 1
+        return folder
+    if out.exists() and not out.is_dir():
+        raise CaseError(f"--out {out}: is a file; name a folder")
+    if out.resolve() == source.resolve().parent:
+        raise CaseError(
+            f"--out {out}: holds the case file itself, which the results would replace; name another"
+        )
+    if (out / "summary.json").exists() and not overwrite:
+        raise CaseError(f"--out {out}: holds a finished run; name another folder, or add --overwrite")
+    return out
+
+
+def _guarded(command: Callable[[Console], int]) -> int:
+    """Run a command; faults of the input end as a message and an exit code, not as a traceback."""
+    from rich.console import Console
+
+    from phantomnode.geometry.errors import GeometryError
+    from phantomnode.pipeline.errors import CaseError
+
+    try:
+        return command(Console())
+    except (CaseError, GeometryError, OSError) as error:
+        if os.environ.get("PHANTOMNODE_DEBUG"):
+            raise
+        messages = error.messages if isinstance(error, CaseError) else (str(error),)
+        stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+        for message in messages:
+            stderr.print("[bold red]error:[/]", end=" ")
+            stderr.print(message, markup=False)
+        return INPUT_AT_FAULT
+    except KeyboardInterrupt:
+        Console(stderr=True).print("interrupted")
+        return INTERRUPTED
+
+
+def main() -> None:
+    """The console script."""
+    try:
+        app()
+    except BrokenPipeError:  # the reader of a pipe, such as head, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
