@@ -1,0 +1,198 @@
+"""Fragments: areas, masses and time steps of random cuts, sharp corners, degenerate positions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_doubling import box, cut_mesh, disc, line, square_grid
+
+from phantomnode.geometry.bilinear import gradients, to_local
+from phantomnode.geometry.curves import Curve, Region
+from phantomnode.geometry.cut import cut
+from phantomnode.geometry.doubling import CutMesh, double
+from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.noding import Lattice, node_segments
+from phantomnode.geometry.relocate import relocate
+
+DISTANCES = (0.0, np.spacing(1.0), 1e-16, 1e-14, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 1e-1)
+
+
+def random_cuts(rng: np.random.Generator, cells: int) -> list[Curve]:
+    """Lines and arcs that pass random nodes at the distances above; where two meet they cross."""
+    curves = []
+    for _ in range(2 * cells):
+        node, angle = rng.integers(0, cells + 1, 2).astype(float), rng.uniform(0, np.pi)
+        along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+        offset = rng.choice(DISTANCES) * rng.choice([-1.0, 1.0])
+        if rng.random() < 0.7:
+            through = node + offset * across
+            curves.append(line(tuple(through - 3 * cells * along), tuple(through + 3 * cells * along)))
+        else:
+            radius = rng.uniform(0.6, cells)
+            curves.append(disc(*(node + (radius + offset) * across), radius))
+    return curves
+
+
+def critical_steps(mesh: CutMesh, corners: np.ndarray) -> np.ndarray:
+    """(c,) Critical time step of each cut fragment on its own, in units of h / c_d (nu = 0.3, h = 1)."""
+    cut_elements, index = np.unique(mesh.triangle_element, return_inverse=True)
+    inside = np.einsum("pk,tka->tpa", np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0, mesh.triangles)
+    owner = np.repeat(index, 3)
+    quads = corners[np.repeat(mesh.triangle_element, 3)]
+    g = gradients(quads, to_local(quads, inside.reshape(-1, 2)))
+    b = np.zeros((len(g), 3, 8))
+    b[:, 0, 0::2], b[:, 1, 1::2] = g[..., 0], g[..., 1]
+    b[:, 2, 0::2], b[:, 2, 1::2] = g[..., 1], g[..., 0]
+    lame, shear = 0.3 / 0.7, 0.2 / 0.7  # over lambda + 2 mu, for nu = 0.3
+    elasticity = np.array([[1.0, lame, 0.0], [lame, 1.0, 0.0], [0.0, 0.0, shear]])
+    d1, d2 = mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0]
+    weight = np.repeat((d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) / 6.0, 3)
+    weight /= mesh.area[cut_elements][owner]  # so that slivers do not underflow
+    stiffness = np.zeros((len(cut_elements), 8, 8))
+    np.add.at(stiffness, owner, weight[:, None, None] * np.einsum("pia,ij,pjb->pab", b, elasticity, b))
+    return np.asarray(2.0 / np.sqrt(4.0 * np.linalg.eigvalsh(stiffness)[:, -1]))
+
+
+def check_random_cuts(seed: int, wanted: int) -> None:
+    rng, cells, done = np.random.default_rng(seed), 12, 0
+    grid = square_grid(cells)
+    regions = (box(0, 0, cells, cells),)
+    while done < wanted:
+        curves = random_cuts(rng, cells)
+        mesh = cut_mesh(grid, regions, *curves)
+        sums = np.bincount(mesh.cell, weights=mesh.area, minlength=cells**2)
+        assert np.max(np.abs(sums - 1.0)) <= 1e-12  # the issue's figure; areas are exact integers here
+        assert np.all(mesh.area > 0.0)
+        per_element = np.bincount(mesh.triangle_element, minlength=len(mesh.elements))
+        assert np.all(per_element[mesh.cut] > 0)
+        # formulation: a lone fragment's critical step stays above 0.555 h / c_d at any size.
+        assert critical_steps(mesh, grid.xy[grid.quads[mesh.cell]]).min() >= 0.555
+        done += len(np.unique(mesh.cell[mesh.cut]))
+
+
+def test_random_cuts_keep_area_mass_and_time_step() -> None:
+    check_random_cuts(seed=1, wanted=5_000)
+
+
+@pytest.mark.slow
+def test_100_000_random_cuts_keep_area_mass_and_time_step() -> None:
+    check_random_cuts(seed=2, wanted=100_000)
+
+
+def rotated(points: np.ndarray, angle: float, shift: np.ndarray) -> Region:
+    c, s = np.cos(angle), np.sin(angle)
+    p = points @ np.array([[c, s], [-s, c]]) + shift
+    return Region(Curve(np.vstack([p, p[:1]]), np.zeros(len(p))))
+
+
+POLYGONS = {
+    "square": np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]),
+    "L with a re-entrant corner": np.array([[-1, -1], [1, -1], [1, -0.2], [-0.2, -0.2], [-0.2, 1], [-1, 1]]),
+    "seven corners": np.array([[0, -1], [0.9, -0.7], [1, 0.4], [0.3, 0.2], [0, 1], [-0.8, 0.6], [-1, -0.5]]),
+}
+
+
+@pytest.mark.parametrize("relocation", [0.0, 0.1], ids=["not relocated", "relocated"])
+@pytest.mark.parametrize("name", POLYGONS)
+def test_polygons_keep_their_area_at_50_random_offsets_and_angles(name: str, relocation: float) -> None:
+    """Sharp corners stay: the area is off by the lattice only, 2^-22 h at each corner, 1e-8 of it at most."""
+    cells = 30
+    grid = square_grid(cells)
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        region = rotated(10.0 * POLYGONS[name], rng.uniform(0, 2 * np.pi), 15.0 + rng.uniform(-0.5, 0.5, 2))
+        moved = relocate(grid, region.loops, relocation).grid if relocation else grid
+        mesh = double(moved, cut(moved, (region,), (), Lattice.of(grid)))
+        assert mesh.area.sum() == pytest.approx(region.area, rel=1e-8)
+        assert np.isclose(mesh.fraction[~mesh.cut], 1.0).all()
+
+
+def test_area_of_a_disc_converges_with_h_squared() -> None:
+    """Chords between grid crossings: the area misses O(h^2); the rate is fitted over four grids."""
+    errors, sizes = [], np.array([10, 20, 40, 80])
+    for cells in sizes:
+        grid = square_grid(cells, 1.0 / cells)
+        region = Region(disc(0.503, 0.497, 0.4))
+        moved = relocate(grid, region.loops).grid
+        mesh = double(moved, cut(moved, (region,), (), Lattice.of(grid)))
+        errors.append(abs(mesh.area.sum() - region.area))
+    rate = -np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert rate > 1.9
+
+
+def test_boundary_segments_close_around_the_body() -> None:
+    """Segments follow each other around every loop, with the material on their left."""
+    region = Region(disc(2.5, 2.5, 2.1), (disc(2.5, 2.5, 0.9),))
+    mesh = cut_mesh(square_grid(5), (region,))
+    segments = mesh.segments
+    assert np.array_equal(segments.ends[segments.following, 0], segments.ends[:, 1])
+    assert sorted(segments.following) == list(range(len(segments.ends)))
+    (x0, y0), (x1, y1) = segments.ends[:, 0].T, segments.ends[:, 1].T
+    assert 0.5 * np.sum(x0 * y1 - x1 * y0) == pytest.approx(mesh.area.sum(), rel=1e-12)
+    assert set(segments.curve) == {0, 1}
+
+
+def test_the_two_sides_of_an_interface() -> None:
+    """Material on the left of the curve is side +1; each side has segments of the same length."""
+    mesh = cut_mesh(square_grid(5), (box(0, 0, 5, 5),), line((0, 2.3), (5, 2.6)))
+    segments = mesh.segments
+    length = np.hypot(*(segments.ends[:, 1] - segments.ends[:, 0]).T)
+    above = mesh.xy[mesh.elements[segments.element]].mean(axis=1)[:, 1]
+    assert length[segments.side == 1].sum() == pytest.approx(np.hypot(5, 0.3), rel=1e-6)
+    assert length[segments.side == -1].sum() == pytest.approx(length[segments.side == 1].sum(), rel=1e-14)
+    start, end = segments.ends[:, 0], segments.ends[:, 1]
+    assert np.all((end - start)[segments.side == 1, 0] > 0)  # along the curve, left = above
+    assert above[segments.side == 1].mean() > above[segments.side == -1].mean() - 1e-12
+
+
+def test_grid_edges_on_the_outline_are_boundary_segments() -> None:
+    mesh = cut_mesh(square_grid(4), (box(0, 0, 4, 4),))
+    assert len(mesh.segments.ends) == 16 and not mesh.cut.any()
+    assert np.bincount(mesh.segments.piece).tolist() == [4, 4, 4, 4]
+
+
+def test_a_slit_in_one_fragment_carries_no_segments() -> None:
+    mesh = cut_mesh(square_grid(3), (box(0, 0, 3, 3),), line((1.2, 1.5), (1.8, 1.5)))
+    assert not np.any(mesh.segments.side)
+
+
+@pytest.mark.parametrize(
+    ("region", "fragment"),
+    [
+        (box(1, 1, 6, 4), "reaches beyond its background grid"),
+        (box(-3, -3, 9, 9), "reaches beyond its background grid"),
+        (box(7, 7, 9, 9), "no cell of the background grid lies in the body"),
+    ],
+)
+def test_a_body_outside_its_grid_is_refused(region: Region, fragment: str) -> None:
+    with pytest.raises(GeometryError, match=fragment):
+        cut_mesh(square_grid(5), (region,))
+
+
+def test_cells_on_both_sides_twice_are_refused() -> None:
+    grid = square_grid(2)
+    doubled = BackgroundGrid(grid.xy, np.vstack([grid.quads, grid.quads[:1]]))
+    with pytest.raises(GeometryError, match="two cells on the same side"):
+        cut_mesh(doubled, (box(0, 0, 2, 2),))
+
+
+@pytest.mark.parametrize(
+    ("segments", "pieces"),
+    [
+        ([[(0, 0), (8, 8)], [(0, 8), (8, 0)]], 4),  # a crossing at a lattice point
+        ([[(0, 0), (9, 9)], [(0, 8), (8, 0)]], 4),
+        ([[(0, 0), (7, 7)], [(0, 7), (7, 0)]], 4),  # a crossing between lattice points
+        ([[(0, 0), (8, 0)], [(4, 0), (4, 5)]], 3),  # an end on a segment
+        ([[(0, 0), (8, 0)], [(2, 0), (12, 0)]], 4),  # collinear, overlapping
+        ([[(0, 0), (8, 0)], [(8, 0), (0, 0)]], 2),  # the same segment, both ways
+        ([[(0, 0), (100, 1)], [(50, 0), (50, -9)]], 3),  # a vertex half a unit off
+        ([[(0, 0), (0, 0)], [(1, 1), (2, 2)]], 1),  # no length
+    ],
+)
+def test_noding_of_degenerate_positions(segments: list, pieces: int) -> None:
+    given = np.array(segments)
+    noded = node_segments(given[:, 0], given[:, 1])
+    assert len(noded.ends) == pieces
+    again = node_segments(noded.vertices[noded.ends[:, 0]], noded.vertices[noded.ends[:, 1]])
+    assert len(again.ends) == pieces  # nothing is left to split
