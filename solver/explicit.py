@@ -1,166 +1,229 @@
-"""The central difference loop in leapfrog form (Eq. 18-20), compiled as a whole.
+"""A run as a sequence of frames: the state at chosen steps, with the energy balance, and the guards.
 
-Free degrees of freedom: v(n+1/2) = v(n-1/2) + dt a(n), u(n+1) = u(n) + dt v(n+1/2); the first step starts from
-the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribed ones move by their increment, so that
-v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces on them. With R(n) from
-the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2 makes the discrete balance of
-kinetic energy and work an identity, and the error of the whole balance is O(dt^2).
+Fields of a frame belong to one time: the velocity is v(n) = v(n-1/2) + dt/2 a(n), the reaction and the work are
+completed to the same time with the last known acceleration of the prescribed nodes.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from phantomnode.solver.contact import OPEN, add_contact_forces
-from phantomnode.solver.cut_elements import add_cut_forces
-from phantomnode.solver.model import Model, State
-from phantomnode.solver.q4 import add_element_forces
-from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
+from phantomnode.solver.contact import contact_energy
+from phantomnode.solver.cut_elements import cut_energy
+from phantomnode.solver.leapfrog import DONE, advance, initial_state
+from phantomnode.solver.model import Energies, Model, State
+from phantomnode.solver.q4 import element_energies
+from phantomnode.solver.search import prepare_search
+from phantomnode.solver.stress import cut_stress, element_stress
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
-DONE, INVERTED, NOT_FINITE = 0, 1, 2
-"""What :func:`advance` returns: all steps done, or what stopped it (see the clock for when)."""
+CHUNK = 4096
+"""Most steps between two looks at the guards and at the keyboard."""
 
 
-def initial_state(model: Model, velocity: Floats, search: Search) -> State:
-    """The state at time 0: undeformed, with the forces and accelerations there.
+class Motion(Protocol):
+    """The prescribed motions."""
+
+    def increments(self, first_step: int, steps: int, dt: float) -> Floats:
+        """(steps, channels) Displacement increments, m, over the steps that begin at first_step*dt, ..."""
+
+
+class Frame(NamedTuple):
+    """The state at one time.
+
+    time, s; step; u (n, 2), m; v (n, 2), m/s; energies; energy_error: |kinetic + internal + hourglass + contact -
+    external work - what there was at time 0| over the largest energy seen so far; reaction (channels,) force that
+    each prescribed motion exerts, N/m; pair_force (k, 2) force on the slave of each pair, N/m; pair_impulse (k, 2)
+    its time integral, N s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration or -1e300 where
+    open, m; normal (g, 2) direction of the force on the slave; smallest_j: smallest J = det F; state, initial_energy
+    and largest_energy: what a run needs to be resumed from here.
+    """
+
+    time: float
+    step: int
+    u: Floats
+    v: Floats
+    energies: Energies
+    energy_error: float
+    reaction: Floats
+    pair_force: Floats
+    pair_impulse: Floats
+    pair_peak: Floats
+    gap: Floats
+    normal: Floats
+    smallest_j: float
+    state: State
+    initial_energy: float
+    largest_energy: float
+
+
+class RunStopped(RuntimeError):
+    """A guard stopped the run.
+
+    Attributes
+    ----------
+    reason, advice : str
+        What went wrong, where and when; what to do.
+    last_good : Frame
+        The last frame before.
+    """
+
+    def __init__(self, reason: str, advice: str, last_good: Frame) -> None:
+        super().__init__(f"{reason}; {advice}")
+        self.reason = reason
+        self.advice = advice
+        self.last_good = last_good
+
+
+def energies(model: Model, state: State, dt: float) -> Energies:
+    """Energies at the time of the displacement, J/m; exact stored-energy functions.
+
+    The kinetic energy is that of :func:`velocity`; the work done so far is that of reactions and loads.
+    """
+    v, reaction = velocity(state, dt), _nodal_reaction(model, state)
+    half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
+    last_half_step = half * 0.5 * float(np.sum(reaction * (state.v + v)))
+    internal, hourglass = element_energies(model.elements, state.u)
+    return Energies(
+        kinetic=0.5 * float(np.sum(model.mass[:, None] * v**2)),
+        internal=internal + cut_energy(model.cut_elements, state.u),
+        hourglass=hourglass,
+        contact=contact_energy(model.contact, state.gap),
+        external_work=float(state.external[0]) + last_half_step + float(np.sum(model.load * state.u)),
+    )
+
+
+def velocity(state: State, dt: float) -> Floats:
+    """(n, 2) Velocity at the time of the displacement, v(n) = v(n-1/2) + dt/2 a(n), m/s."""
+    return state.v.copy() if state.clock[1] == 0.0 else state.v + 0.5 * dt * state.a
+
+
+def _nodal_reaction(model: Model, state: State) -> Floats:
+    """(n, 2) What the prescribed motion exerts on each degree of freedom, N/m; zero on free ones."""
+    return np.where(model.channel >= 0, model.mass[:, None] * state.a - state.force, 0.0)
+
+
+def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame:
+    """The frame of a state; ``before`` is the last one, from which the balance goes on."""
+    now = energies(model, state, dt)
+    stored = now.internal + now.hourglass + now.contact
+    total = now.kinetic + stored - now.external_work
+    initial = before.initial_energy if before else total
+    largest = max(now.kinetic, stored, abs(now.external_work), before.largest_energy if before else 0.0)
+    held = model.channel >= 0
+    copy = State(*(field.copy() for field in state))
+    half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
+    return Frame(
+        time=float(state.clock[0]),
+        step=int(state.clock[1]),
+        u=copy.u,
+        v=velocity(state, dt),
+        energies=now,
+        energy_error=abs(total - initial) / largest if largest > 0.0 else 0.0,
+        reaction=np.bincount(
+            model.channel[held], weights=_nodal_reaction(model, state)[held], minlength=model.channels
+        ),
+        pair_force=copy.pair_force,
+        pair_impulse=copy.pair_impulse + half * copy.pair_force,
+        pair_peak=copy.pair_peak,
+        gap=copy.gap,
+        normal=copy.normal,
+        smallest_j=float(state.smallest_j[0]),
+        state=copy,
+        initial_energy=initial,
+        largest_energy=largest,
+    )
+
+
+def frames(
+    model: Model,
+    velocity: Floats,
+    dt: float,
+    steps_at: Ints,
+    motion: Motion,
+    guard: float,
+    resume: Frame | None = None,
+) -> Iterator[Frame]:
+    """Run a model and yield its frames.
 
     Parameters
     ----------
     model : Model
     velocity : (n, 2) float64, m/s
-        Initial velocity of every node.
-    search : Search
-        From :func:`phantomnode.solver.search.prepare_search`.
+        Initial velocity; prescribed degrees of freedom start with that of their motion instead, so that a
+        motion that sets in at full speed needs no infinite force.
+    dt : float, s
+    steps_at : (f,) int64
+        Numbers of the steps after which a frame is due, ascending; 0 is the initial state.
+    motion : Motion
+    guard : float
+        The largest energy error that is let pass.
+    resume : Frame or None
+        Go on from this frame (only its ``state``, ``initial_energy`` and ``largest_energy`` are used); steps up
+        to it are not yielded again. The result is the same, to the bit, as without the interruption.
 
     Raises
     ------
-    ValueError
-        Where a node has no mass or a contact pair has no reach.
+    RunStopped
+        When the energy error exceeds the guard, or an element is inverted or not finite.
     """
-    n, points, pairs = len(model.x), len(model.contact.slave_weight), len(model.contact.penalty)
-    if not np.all(model.mass > 0.0):
-        raise ValueError(
-            f"node {int(np.argmin(model.mass))} has no mass; every node must belong to an element"
-        )
-    if not np.all(model.contact.reach > 0.0):
-        raise ValueError(
-            f"contact pair {int(np.argmin(model.contact.reach))} has no reach; give about one cell"
-        )
-    state = State(
-        u=np.zeros((n, 2)),
-        v=np.array(velocity, dtype=np.float64, order="C").reshape(n, 2),
-        a=np.zeros((n, 2)),
-        force=np.zeros((n, 2)),
-        reaction=np.zeros(model.channels),
-        external=np.zeros(1),
-        pair_force=np.zeros((pairs, 2)),
-        pair_impulse=np.zeros((pairs, 2)),
-        pair_peak=np.zeros(pairs),
-        gap=np.full(points, OPEN),
-        normal=np.zeros((points, 2)),
-        clock=np.zeros(2),
-        smallest_j=np.ones(1),
+    search = prepare_search(model.contact)
+    if resume is None:
+        start = np.array(velocity, dtype=np.float64)
+        held = model.channel >= 0
+        start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
+        state = initial_state(model, start, search)
+        last = _frame(model, state, dt, None)
+        if len(steps_at) and steps_at[0] == 0:
+            yield last
+    else:
+        state, last = State(*(field.copy() for field in resume.state)), resume
+    for target in steps_at[np.asarray(steps_at) > last.step]:
+        done = last.step
+        while done < target:
+            steps = min(CHUNK, int(target) - done)
+            increments = np.ascontiguousarray(motion.increments(done, steps, dt), dtype=np.float64)
+            if advance(model, state, search, dt, increments) != DONE:
+                raise _broken(model, state, last)
+            done += steps
+            frame = _frame(model, state, dt, last)
+            if not frame.energy_error <= guard:
+                raise _unbalanced(frame, guard, last)
+            last = frame
+        yield last
+
+
+def _broken(model: Model, state: State, last: Frame) -> RunStopped:
+    """The elements are inverted or not finite: say which, where and when."""
+    j = np.concatenate(
+        [element_stress(model.elements, state.u)[2], cut_stress(model.cut_elements, state.u)[2]]
     )
-    advance(model, state, search, 0.0, np.zeros((0, model.channels)))
-    return state
-
-
-@njit(cache=True, error_model="numpy")
-def evaluate_elements(model: Model, state: State) -> int:
-    """Load, internal and hourglass forces at the current displacement; whether the elements are sound."""
-    state.force[:] = model.load
-    smallest_j = add_element_forces(model.elements, state.u, state.force)
-    cut_j = add_cut_forces(model.cut_elements, state.u, state.force)
-    if not smallest_j <= cut_j and smallest_j == smallest_j:
-        smallest_j = cut_j  # also where it is NaN
-    state.smallest_j[0] = smallest_j
-    if smallest_j > 0.0:
-        return DONE
-    return INVERTED if smallest_j <= 0.0 else NOT_FINITE
-
-
-@njit(cache=True, error_model="numpy")
-def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None:
-    """Add the contact forces at the current displacement, then the accelerations of the free nodes."""
-    add_contact_forces(
-        model.contact, candidates, model.x, state.u, state.force, state.pair_force, state.gap, state.normal
+    first = model.cut_elements.first
+    owner = np.repeat(np.arange(len(first) - 1) + len(model.elements.volume), np.diff(first))
+    worst = int(np.argmin(np.where(np.isfinite(j), j, -np.inf)))
+    element = int(np.concatenate([np.arange(len(model.elements.volume)), owner])[worst])
+    nodes = np.concatenate([model.elements.nodes, model.cut_elements.nodes])[element]
+    x, y = model.x[nodes].mean(axis=0)
+    kind = "inverted" if np.isfinite(j[worst]) else "no longer finite"
+    return RunStopped(
+        f"element {element} (at x = {x:.6g}, y = {y:.6g} in the undeformed body) is {kind}, J = {j[worst]:.3g}, "
+        f"at t = {state.clock[0]:.6g} s, step {int(state.clock[1])}",
+        "take a smaller time step, a finer grid there or a smaller load; look at the last good state",
+        last,
     )
-    for k in range(len(state.pair_peak)):
-        size = math.sqrt(state.pair_force[k, 0] ** 2 + state.pair_force[k, 1] ** 2)
-        state.pair_peak[k] = max(state.pair_peak[k], size)
-    for i in range(len(model.mass)):
-        for d in range(2):
-            if model.channel[i, d] < 0:
-                state.a[i, d] = state.force[i, d] / model.mass[i]
 
 
-@njit(cache=True, error_model="numpy")
-def move(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
-    """Velocities over the interval ``kick``, reactions and their work, then displacements over the step."""
-    u, v, a = state.u, state.v, state.a
-    state.reaction[:] = 0.0
-    work = 0.0
-    for i in range(len(model.mass)):
-        for d in range(2):
-            c = model.channel[i, d]
-            if c < 0:
-                v[i, d] += kick * a[i, d]
-                u[i, d] += dt * v[i, d]
-            else:
-                before, after = v[i, d], increment[c] / dt
-                a[i, d] = (after - before) / kick
-                reaction = model.mass[i] * a[i, d] - state.force[i, d]
-                state.reaction[c] += reaction
-                work += reaction * 0.5 * (before + after)
-                v[i, d] = after
-                u[i, d] += increment[c]
-    state.external[0] += kick * work
-    for k in range(len(state.pair_peak)):
-        state.pair_impulse[k, 0] += kick * state.pair_force[k, 0]
-        state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]
-
-
-@njit(cache=True, error_model="numpy")
-def advance(model: Model, state: State, search: Search, dt: float, increments: Floats) -> int:
-    """Run one step for each row of increments; with none, only evaluate the forces at the current displacement.
-
-    Parameters
-    ----------
-    model : Model
-    state : State
-        Written in place; after a stop it holds the displacement at which the step failed.
-    search : Search
-    dt : float, s
-    increments : (steps, channels) float64, m
-        Displacement increment of each prescribed motion in each step.
-
-    Returns
-    -------
-    int
-        ``DONE``, ``INVERTED`` (some J <= 0) or ``NOT_FINITE``.
-    """
-    candidates = build_candidates(model.contact, search, model.x, state.u)
-    if len(increments) == 0:
-        state.gap[:] = OPEN
-        status = evaluate_elements(model, state)
-        evaluate_contact(model, state, candidates)
-        return status
-    for step in range(len(increments)):
-        kick = 0.5 * dt if state.clock[1] == 0.0 else dt
-        move(model, state, kick, dt, increments[step])
-        state.clock[1] += 1.0
-        state.clock[0] = state.clock[1] * dt
-        status = evaluate_elements(model, state)
-        if status != DONE:
-            return status
-        if outdated(search, candidates, state.u):
-            candidates = build_candidates(model.contact, search, model.x, state.u)
-            state.gap[:] = OPEN
-        evaluate_contact(model, state, candidates)
-    return DONE
+def _unbalanced(frame: Frame, guard: float, last: Frame) -> RunStopped:
+    """The energy balance is lost."""
+    return RunStopped(
+        f"the energy error is {frame.energy_error:.3g} of the largest energy (allowed: {guard:.3g}) "
+        f"at t = {frame.time:.6g} s, step {frame.step}",
+        "take a smaller time step, or a lower contact penalty; look at the last good state",
+        last,
+    )

@@ -1,0 +1,166 @@
+"""The central difference loop in leapfrog form (Eq. 18-20), compiled as a whole.
+
+Free degrees of freedom: v(n+1/2) = v(n-1/2) + dt a(n), u(n+1) = u(n) + dt v(n+1/2); the first step starts from
+the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribed ones move by their increment, so that
+v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces on them. With R(n) from
+the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2 makes the discrete balance of
+kinetic energy and work an identity, and the error of the whole balance is O(dt^2).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phantomnode.solver.contact import OPEN, add_contact_forces
+from phantomnode.solver.cut_elements import add_cut_forces
+from phantomnode.solver.model import Model, State
+from phantomnode.solver.q4 import add_element_forces
+from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
+
+Floats = NDArray[np.float64]
+
+DONE, INVERTED, NOT_FINITE = 0, 1, 2
+"""What :func:`advance` returns: all steps done, or what stopped it (see the clock for when)."""
+
+
+def initial_state(model: Model, velocity: Floats, search: Search) -> State:
+    """The state at time 0: undeformed, with the forces and accelerations there.
+
+    Parameters
+    ----------
+    model : Model
+    velocity : (n, 2) float64, m/s
+        Initial velocity of every node.
+    search : Search
+        From :func:`phantomnode.solver.search.prepare_search`.
+
+    Raises
+    ------
+    ValueError
+        Where a node has no mass or a contact pair has no reach.
+    """
+    n, points, pairs = len(model.x), len(model.contact.slave_weight), len(model.contact.penalty)
+    if not np.all(model.mass > 0.0):
+        raise ValueError(
+            f"node {int(np.argmin(model.mass))} has no mass; every node must belong to an element"
+        )
+    if not np.all(model.contact.reach > 0.0):
+        raise ValueError(
+            f"contact pair {int(np.argmin(model.contact.reach))} has no reach; give about one cell"
+        )
+    state = State(
+        u=np.zeros((n, 2)),
+        v=np.array(velocity, dtype=np.float64, order="C").reshape(n, 2),
+        a=np.zeros((n, 2)),
+        force=np.zeros((n, 2)),
+        reaction=np.zeros(model.channels),
+        external=np.zeros(1),
+        pair_force=np.zeros((pairs, 2)),
+        pair_impulse=np.zeros((pairs, 2)),
+        pair_peak=np.zeros(pairs),
+        gap=np.full(points, OPEN),
+        normal=np.zeros((points, 2)),
+        clock=np.zeros(2),
+        smallest_j=np.ones(1),
+    )
+    advance(model, state, search, 0.0, np.zeros((0, model.channels)))
+    return state
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate_elements(model: Model, state: State) -> int:
+    """Load, internal and hourglass forces at the current displacement; whether the elements are sound."""
+    state.force[:] = model.load
+    smallest_j = add_element_forces(model.elements, state.u, state.force)
+    cut_j = add_cut_forces(model.cut_elements, state.u, state.force)
+    if not smallest_j <= cut_j and smallest_j == smallest_j:
+        smallest_j = cut_j  # also where it is NaN
+    state.smallest_j[0] = smallest_j
+    if smallest_j > 0.0:
+        return DONE
+    return INVERTED if smallest_j <= 0.0 else NOT_FINITE
+
+
+@njit(cache=True, error_model="numpy")
+def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None:
+    """Add the contact forces at the current displacement, then the accelerations of the free nodes."""
+    add_contact_forces(
+        model.contact, candidates, model.x, state.u, state.force, state.pair_force, state.gap, state.normal
+    )
+    for k in range(len(state.pair_peak)):
+        size = math.sqrt(state.pair_force[k, 0] ** 2 + state.pair_force[k, 1] ** 2)
+        state.pair_peak[k] = max(state.pair_peak[k], size)
+    for i in range(len(model.mass)):
+        for d in range(2):
+            if model.channel[i, d] < 0:
+                state.a[i, d] = state.force[i, d] / model.mass[i]
+
+
+@njit(cache=True, error_model="numpy")
+def move(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
+    """Velocities over the interval ``kick``, reactions and their work, then displacements over the step."""
+    u, v, a = state.u, state.v, state.a
+    state.reaction[:] = 0.0
+    work = 0.0
+    for i in range(len(model.mass)):
+        for d in range(2):
+            c = model.channel[i, d]
+            if c < 0:
+                v[i, d] += kick * a[i, d]
+                u[i, d] += dt * v[i, d]
+            else:
+                before, after = v[i, d], increment[c] / dt
+                a[i, d] = (after - before) / kick
+                reaction = model.mass[i] * a[i, d] - state.force[i, d]
+                state.reaction[c] += reaction
+                work += reaction * 0.5 * (before + after)
+                v[i, d] = after
+                u[i, d] += increment[c]
+    state.external[0] += kick * work
+    for k in range(len(state.pair_peak)):
+        state.pair_impulse[k, 0] += kick * state.pair_force[k, 0]
+        state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]
+
+
+@njit(cache=True, error_model="numpy")
+def advance(model: Model, state: State, search: Search, dt: float, increments: Floats) -> int:
+    """Run one step for each row of increments; with none, only evaluate the forces at the current displacement.
+
+    Parameters
+    ----------
+    model : Model
+    state : State
+        Written in place; after a stop it holds the displacement at which the step failed.
+    search : Search
+    dt : float, s
+    increments : (steps, channels) float64, m
+        Displacement increment of each prescribed motion in each step.
+
+    Returns
+    -------
+    int
+        ``DONE``, ``INVERTED`` (some J <= 0) or ``NOT_FINITE``.
+    """
+    candidates = build_candidates(model.contact, search, model.x, state.u)
+    if len(increments) == 0:
+        state.gap[:] = OPEN
+        status = evaluate_elements(model, state)
+        evaluate_contact(model, state, candidates)
+        return status
+    for step in range(len(increments)):
+        kick = 0.5 * dt if state.clock[1] == 0.0 else dt
+        move(model, state, kick, dt, increments[step])
+        state.clock[1] += 1.0
+        state.clock[0] = state.clock[1] * dt
+        status = evaluate_elements(model, state)
+        if status != DONE:
+            return status
+        if outdated(search, candidates, state.u):
+            candidates = build_candidates(model.contact, search, model.x, state.u)
+            state.gap[:] = OPEN
+        evaluate_contact(model, state, candidates)
+    return DONE
