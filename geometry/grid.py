@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -232,7 +233,7 @@ def scaled_jacobians(xy: Floats, quads: Ints) -> Floats:
     return np.asarray(np.divide(cross, lengths, out=np.zeros_like(cross), where=lengths > 0.0))
 
 
-def _rectangles(x: Floats, y: Floats) -> BackgroundGrid:
+def _rectangles(x: NDArray[np.floating[Any]], y: NDArray[np.floating[Any]]) -> BackgroundGrid:
     """Cells between grid lines."""
     n_x, n_y = len(x) - 1, len(y) - 1
     xy = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

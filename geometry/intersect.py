@@ -91,7 +91,8 @@ def intersections(first: Curve, second: Curve) -> Floats:
         _ends_on(first, second, slack),
         _ends_on(second, first, slack),
     ]
-    return _distinct(np.vstack(found), 2.0 * slack)
+    points = np.vstack(found)
+    return np.asarray(points[distinct(points, 2.0 * slack)])
 
 
 def _candidates(curve: Curve, starts: Floats, ends: Floats) -> tuple[Ints, Ints]:
@@ -265,13 +266,14 @@ def _ends_on(curve: Curve, other: Curve, slack: float) -> Floats:
     return np.asarray(ends[on & (np.abs(g) <= slack)])
 
 
-def _distinct(points: Floats, gap: float) -> Floats:
-    """(k, 2) The points less those within ``gap`` of an earlier one."""
+def distinct(points: Floats, gap: float) -> Ints:
+    """(k,) Numbers of the points that have no earlier kept one within ``gap``."""
     from scipy.spatial import cKDTree
 
     if len(points) < 2:
-        return points
-    pairs = cKDTree(points).query_pairs(gap, output_type="ndarray")
+        return np.arange(len(points))
     keep = np.ones(len(points), dtype=bool)
-    keep[pairs[:, 1]] = False  # query_pairs gives i < j
-    return points[keep]
+    pairs = cKDTree(points).query_pairs(gap, output_type="ndarray")  # first < second
+    for first, second in pairs[np.argsort(pairs[:, 1], kind="stable")]:
+        keep[second] &= not keep[first]
+    return np.flatnonzero(keep)
