@@ -1,4 +1,6 @@
-"""Cut elements: full integration over the triangles of the fragment, with the bilinear gradients at each point.
+"""Cut elements: full integration over the triangles of the fragment.
+
+The gradients of the bilinear shape functions of the whole cell are taken at each point.
 
 Three points a triangle leave no zero-energy mode beside the rigid ones, so no hourglass term is needed.
 """
@@ -68,7 +70,7 @@ def fragment_elements(
 
 @njit(cache=True, error_model="numpy")
 def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
-    """Add the internal forces of the cut elements to (n, 2) force, N/m; the smallest J met, NaN where one is not finite."""
+    """Add the internal forces of the cut elements to (n, 2) force, N/m; return the smallest J or NaN."""
     smallest, lost = math.inf, False
     for e in range(len(cut.lame)):
         nodes = cut.nodes[e]

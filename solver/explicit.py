@@ -1,12 +1,12 @@
-"""A run as a sequence of frames: the state at chosen steps, with the energy balance, and the guards.
+"""The explicit run as a sequence of frames: the state at chosen steps, with the energy balance, and the guards.
 
-Fields of a frame belong to one time: the velocity is v(n) = v(n-1/2) + dt/2 a(n), the reaction and the work are
-completed to the same time with the last known acceleration of the prescribed nodes.
+Fields of a frame belong to one time: the velocity is v(n) = v(n-1/2) + dt/2 a(n), the reaction and the work
+are completed to the same time with the last known acceleration of the prescribed nodes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -37,12 +37,13 @@ class Motion(Protocol):
 class Frame(NamedTuple):
     """The state at one time.
 
-    time, s; step; u (n, 2), m; v (n, 2), m/s; energies; energy_error: |kinetic + internal + hourglass + contact -
-    external work - what there was at time 0| over the largest energy seen so far; reaction (channels,) force that
-    each prescribed motion exerts, N/m; pair_force (k, 2) force on the slave of each pair, N/m; pair_impulse (k, 2)
-    its time integral, N s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration or -1e300 where
-    open, m; normal (g, 2) direction of the force on the slave; smallest_j: smallest J = det F; state, initial_energy
-    and largest_energy: what a run needs to be resumed from here.
+    time, s; step; u (n, 2), m; v (n, 2), m/s; energies; energy_error: |kinetic + internal + hourglass +
+    contact - external work - what there was at time 0| over the largest energy seen so far; reaction
+    (channels,) force that each prescribed motion exerts, N/m; pair_force (k, 2) force on the slave of each
+    pair, N/m; pair_impulse (k, 2) its time integral, N s/m; pair_peak (k,) its largest norm so far, N/m;
+    gap (g,) penetration or -1e300 where open, m; normal (g, 2) direction of the force on the slave;
+    smallest_j: smallest J = det F; state, initial_energy and largest_energy: what a run needs to be resumed
+    from here.
     """
 
     time: float
@@ -117,6 +118,8 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
     initial = before.initial_energy if before else total
     largest = max(now.kinetic, stored, abs(now.external_work), before.largest_energy if before else 0.0)
     held = model.channel >= 0
+    reaction = np.zeros(model.channels)
+    np.add.at(reaction, model.channel[held], _nodal_reaction(model, state)[held])
     copy = State(*(field.copy() for field in state))
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     return Frame(
@@ -126,9 +129,7 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
         v=velocity(state, dt),
         energies=now,
         energy_error=abs(total - initial) / largest if largest > 0.0 else 0.0,
-        reaction=np.bincount(
-            model.channel[held], weights=_nodal_reaction(model, state)[held], minlength=model.channels
-        ),
+        reaction=reaction,
         pair_force=copy.pair_force,
         pair_impulse=copy.pair_impulse + half * copy.pair_force,
         pair_peak=copy.pair_peak,
@@ -145,7 +146,7 @@ def frames(
     model: Model,
     velocity: Floats,
     dt: float,
-    steps_at: Ints,
+    steps_at: Ints | Sequence[int],
     motion: Motion,
     guard: float,
     resume: Frame | None = None,
@@ -165,14 +166,16 @@ def frames(
     guard : float
         The largest energy error that is let pass.
     resume : Frame or None
-        Go on from this frame (only its ``state``, ``initial_energy`` and ``largest_energy`` are used); steps up
-        to it are not yielded again. The result is the same, to the bit, as without the interruption.
+        Go on from this frame (only its ``state``, ``initial_energy`` and ``largest_energy`` are used);
+        steps up to it are not yielded again. The result is the same, to the bit, as without the
+        interruption.
 
     Raises
     ------
     RunStopped
         When the energy error exceeds the guard, or an element is inverted or not finite.
     """
+    due = np.asarray(steps_at, dtype=np.int64)
     search = prepare_search(model.contact)
     if resume is None:
         start = np.array(velocity, dtype=np.float64)
@@ -180,11 +183,11 @@ def frames(
         start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
         state = initial_state(model, start, search)
         last = _frame(model, state, dt, None)
-        if len(steps_at) and steps_at[0] == 0:
+        if 0 in due:
             yield last
     else:
         state, last = State(*(field.copy() for field in resume.state)), resume
-    for target in steps_at[np.asarray(steps_at) > last.step]:
+    for target in due[due > last.step]:
         done = last.step
         while done < target:
             steps = min(CHUNK, int(target) - done)
@@ -212,8 +215,8 @@ def _broken(model: Model, state: State, last: Frame) -> RunStopped:
     x, y = model.x[nodes].mean(axis=0)
     kind = "inverted" if np.isfinite(j[worst]) else "no longer finite"
     return RunStopped(
-        f"element {element} (at x = {x:.6g}, y = {y:.6g} in the undeformed body) is {kind}, J = {j[worst]:.3g}, "
-        f"at t = {state.clock[0]:.6g} s, step {int(state.clock[1])}",
+        f"element {element} (at x = {x:.6g}, y = {y:.6g} in the undeformed body) is {kind}, "
+        f"J = {j[worst]:.3g}, at t = {state.clock[0]:.6g} s, step {int(state.clock[1])}",
         "take a smaller time step, a finer grid there or a smaller load; look at the last good state",
         last,
     )

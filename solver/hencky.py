@@ -1,13 +1,16 @@
 """The Hencky law in closed form: Kirchhoff stress and energy from the displacement gradient, plane strain.
 
 W = lambda/2 (ln J)^2 + mu |ln V|^2, with B = F F^T = V^2, gives tau = lambda ln J I + mu ln B. In the plane
-ln B = ln J I + (atanh(s/m)/s) dev B with m = tr(B)/2 and s = sqrt(m^2 - J^2) = |dev B|, so no eigenvectors are
-needed. By the half-angle formula s/(m + J) = tanh(atanh(s/m)/2), and with y = s^2/(m + J)^2, z = (J - 1)/(J + 1)
+ln B = ln J I + (atanh(s/m)/s) dev B with m = tr(B)/2 and s = sqrt(m^2 - J^2) = |dev B|, so no eigenvectors
+are needed. By the half-angle formula s/(m + J) = tanh(atanh(s/m)/2), and with y = s^2/(m + J)^2,
+z = (J - 1)/(J + 1)
 
-    ln B = ln J I + [2/(m + J)] S(y) dev B,    ln J = 2 z S(z^2),    S(y) = atanh(sqrt y)/sqrt y = sum y^k/(2k + 1).
+    ln B = ln J I + [2/(m + J)] S(y) dev B,    ln J = 2 z S(z^2),
+    S(y) = atanh(sqrt y)/sqrt y = sum y^k/(2k + 1).
 
-The paper's Taylor series of ln B (section 2.1) diverges once an eigenvalue of B exceeds 2; this form is exact for
-every J > 0. B - I is formed from the displacement gradient H = F - I, so that small strains lose no digits.
+The paper's Taylor series of ln B (section 2.1) diverges once an eigenvalue of B exceeds 2; this form is
+exact for every J > 0. B - I is formed from the displacement gradient H = F - I, so that small strains lose
+no digits.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """The central difference loop in leapfrog form (Eq. 18-20), compiled as a whole.
 
-Free degrees of freedom: v(n+1/2) = v(n-1/2) + dt a(n), u(n+1) = u(n) + dt v(n+1/2); the first step starts from
-the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribed ones move by their increment, so that
-v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces on them. With R(n) from
-the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2 makes the discrete balance of
-kinetic energy and work an identity, and the error of the whole balance is O(dt^2).
+Free degrees of freedom: v(n+1/2) = v(n-1/2) + dt a(n), u(n+1) = u(n) + dt v(n+1/2); the first step starts
+from the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribed ones move by their
+increment, so that v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces
+on them. With R(n) from the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2
+makes the discrete balance of kinetic energy and work an identity, and the error of the whole balance is
+O(dt^2).
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
 
 @njit(cache=True, error_model="numpy")
 def advance(model: Model, state: State, search: Search, dt: float, increments: Floats) -> int:
-    """Run one step for each row of increments; with none, only evaluate the forces at the current displacement.
+    """Run one step for each row of increments; with none, only evaluate the forces.
 
     Parameters
     ----------

@@ -56,10 +56,10 @@ class Contact(NamedTuple):
     are numbered in a row: pair k has masters master_first[k] .. master_first[k + 1] and slave points
     slave_first[k] .. slave_first[k + 1].
 
-    slave_nodes (g, 4), slave_shape (g, 4), slave_weight (g,) reference length of each point, m;
-    slave_first (k + 1,); master_nodes (s, 4), start_shape (s, 4), end_shape (s, 4); previous (s,),
-    following (s,) neighbours along the master surface, -1 at a free end; master_first (k + 1,); penalty (k,), Pa/m;
-    reach (k,), m: how deep a point can lie inside and still be found (about one cell).
+    slave_nodes (g, 4), slave_shape (g, 4), slave_weight (g,) reference length of each point, m; slave_first
+    (k + 1,); master_nodes (s, 4), start_shape (s, 4), end_shape (s, 4); previous (s,), following (s,)
+    neighbours along the master surface, -1 at a free end; master_first (k + 1,); penalty (k,), Pa/m; reach
+    (k,), m: how deep a point can lie inside and still be found (about one cell).
     """
 
     slave_nodes: Ints
@@ -99,13 +99,13 @@ class State(NamedTuple):
 
     u (n, 2) displacement at the current time, m; v (n, 2) velocity half a step back, m/s (at the start: the
     initial velocity); a (n, 2) acceleration at the current time (of prescribed degrees of freedom: the last
-    known one, half a step back), m/s^2; force (n, 2) internal + hourglass + contact + load forces on the nodes
-    at the current time, N/m; reaction (channels,) force that each prescribed motion exerted at the previous
-    step, N/m; external (1,) work of the reactions up to half a step back, J/m; pair_force (k, 2) force on the
-    slave of each pair, N/m; pair_impulse (k, 2) its time integral up to half a step back, N s/m; pair_peak (k,)
-    its largest norm so far, N/m; gap (g,) penetration (positive) or -1e300 where open, m; normal (g, 2)
-    direction of the force on the slave; clock (2,): time, s, and number of steps done; smallest_j (1,) smallest
-    J = det F met in the last step.
+    known one, half a step back), m/s^2; force (n, 2) internal + hourglass + contact + load forces on the
+    nodes at the current time, N/m; reaction (channels,) force that each prescribed motion exerted at the
+    previous step, N/m; external (1,) work of the reactions up to half a step back, J/m; pair_force (k, 2)
+    force on the slave of each pair, N/m; pair_impulse (k, 2) its time integral up to half a step back, N
+    s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration (positive) or -1e300 where open,
+    m; normal (g, 2) direction of the force on the slave; clock (2,): time, s, and number of steps done;
+    smallest_j (1,) smallest J = det F met in the last step.
     """
 
     u: Floats

@@ -106,7 +106,7 @@ def hourglass_mode(nodes: Ints, gamma: Floats, u: Floats) -> tuple[float, float]
 
 @njit(cache=True, error_model="numpy")
 def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
-    """Add the internal and hourglass forces of the uncut elements; the smallest J met, NaN where one is not finite.
+    """Add the internal and hourglass forces of the uncut elements; return the smallest J.
 
     Parameters
     ----------
@@ -114,6 +114,11 @@ def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
     u : (n, 2) float64, metres
     force : (n, 2) float64, N/m
         Added to, in the order of the elements.
+
+    Returns
+    -------
+    float
+        The smallest J met; NaN where one is not finite.
     """
     smallest, lost = math.inf, False
     for e in range(len(elements.volume)):

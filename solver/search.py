@@ -1,9 +1,9 @@
 """Contact search: which master segments can be the nearest to a slave point, from uniform bins.
 
-Candidate lists hold every segment within ``reach + skin`` of a point at the time they are built. As long as slave
-and master have moved by no more than the skin relative to each other, a list still holds every segment within
-``reach``; before that is exceeded the lists are built anew from the current positions, in the same step. So no
-pair is missed at any speed, and the result never depends on when the lists were built.
+Candidate lists hold every segment within ``reach + skin`` of a point at the time they are built. As long as
+slave and master have moved by no more than the skin relative to each other, a list still holds every
+segment within ``reach``; before that is exceeded the lists are built anew from the current positions, in
+the same step. So no pair is missed at any speed, and the result never depends on when the lists were built.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ SKIN = 0.5
 class Search(NamedTuple):
     """What the search needs besides the model.
 
-    slave_nodes, master_nodes: the nodes of the slave and of the master side of each pair, each once; pair k has
-    slave_first[k] .. slave_first[k + 1] and master_first[k] .. master_first[k + 1]. skin (k,), m.
+    slave_nodes, master_nodes: the nodes of the slave and of the master side of each pair, each once; pair k
+    has slave_first[k] .. slave_first[k + 1] and master_first[k] .. master_first[k + 1]. skin (k,), m.
     """
 
     slave_nodes: Ints
@@ -41,9 +41,10 @@ class Search(NamedTuple):
 class Candidates(NamedTuple):
     """Candidate lists, and where the nodes were when they were built.
 
-    near: the slave points that have candidates, ascending, pair by pair from near_first[k] to near_first[k + 1];
+    near: the slave points that have candidates, ascending; pair k has near_first[k] .. near_first[k + 1];
     first, segments: the candidates of near[i] are segments[first[i]] .. segments[first[i + 1]], ascending;
-    built_slave, built_master: the displacement of search.slave_nodes and search.master_nodes at that time, m.
+    built_slave, built_master: the displacement of search.slave_nodes and search.master_nodes at
+    that time, m.
     """
 
     near: Ints
@@ -96,7 +97,7 @@ def closest(px: float, py: float, ax: float, ay: float, bx: float, by: float) ->
 def movement_box(
     nodes: Ints, start: int, end: int, u: Floats, built: Floats
 ) -> tuple[float, float, float, float]:
-    """Least and greatest displacement of nodes[start:end] since ``built``: x low, x high, y low, y high, m."""
+    """Displacement of nodes[start:end] since ``built``, m: least and greatest x, least and greatest y."""
     x_low, x_high, y_low, y_high = math.inf, -math.inf, math.inf, -math.inf
     for i in range(start, end):
         n = nodes[i]

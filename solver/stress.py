@@ -18,7 +18,7 @@ Ints = NDArray[np.int64]
 def _point_stress(
     nodes: Ints, gradient: Floats, lame: Floats, shear: Floats, first: Ints, u: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Cauchy stress (p, 4), Hencky strain (p, 3), J (p,) at points first[e] .. first[e + 1] of each element."""
+    """Cauchy stress (p, 4), Hencky strain (p, 3), J (p,) at the points first[e] .. of each element."""
     stress, strain, jacobian = (
         np.empty((len(gradient), 4)),
         np.empty((len(gradient), 3)),

@@ -32,8 +32,8 @@ def stable_step(model: Model, safety: float = 0.85) -> StepEstimate:
     """A time step that is safe with every slave point closed.
 
     The largest eigenvalue of the assembled stiffness by the lumped mass is at most the largest one of any
-    element with its own mass, plus that of the contact springs (Rayleigh's quotient, term by term). The step of
-    the elements alone (Eq. 21) is 2.5 to 26 times too long once contact closes.
+    element with its own mass, plus that of the contact springs (Rayleigh's quotient, term by term). The
+    step of the elements alone (Eq. 21) is 2.5 to 26 times too long once contact closes.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def _uncut_eigenvalue(elements: Elements) -> tuple[float, int]:
     """Largest eigenvalue of an uncut element with its own mass, 1/s^2, and the number of the element."""
     best = (0.0, 0)
     for start in range(0, len(elements.volume), CHUNK):
-        block = Elements(*(np.asarray(field)[start : start + CHUNK] for field in elements))
+        block = _some(elements, np.arange(start, min(start + CHUNK, len(elements.volume))))
         quarter = 0.25 * block.mass
         # Elements of one kind (most of a structured grid) have the same stiffness: look at each kind once.
         kinds = _kinds(
@@ -82,7 +82,7 @@ def _uncut_eigenvalue(elements: Elements) -> tuple[float, int]:
                 ]
             )
         )
-        e = Elements(*(field[kinds] for field in block))
+        e = _some(block, kinds)
         stiffness = e.volume[:, None, None] * _strain_stiffness(e.gradient, e.lame, e.shear)
         mode = np.einsum("mi,mj,ab->miajb", e.gamma, e.gamma, np.eye(2)).reshape(-1, 8, 8)
         stiffness += e.hourglass[:, None, None] * mode
@@ -90,6 +90,11 @@ def _uncut_eigenvalue(elements: Elements) -> tuple[float, int]:
         k = int(np.argmax(largest))
         best = max(best, (float(largest[k]), start + int(kinds[k])))
     return best
+
+
+def _some(elements: Elements, which: NDArray[np.intp]) -> Elements:
+    """The elements of these numbers."""
+    return Elements._make(field[which] for field in elements)
 
 
 def _kinds(features: Floats) -> NDArray[np.intp]:
@@ -114,8 +119,9 @@ def _cut_eigenvalue(cut: CutElements) -> tuple[float, int]:
 def _contact_eigenvalue(model: Model) -> float:
     """Bound on the largest eigenvalue of the penalty springs, 1/s^2, with every slave point closed.
 
-    A point adds eps w to the stiffness of its slave and of its master side, (a - b)^2 <= 2 a^2 + 2 b^2 parts the
-    two, rows of shape functions bound each, and the points over a master segment are as long as the segment.
+    A point adds eps w to the stiffness of its slave and of its master side, (a - b)^2 <= 2 a^2 + 2 b^2
+    parts the two, rows of shape functions bound each, and the points over a master segment are as long as
+    the segment.
     """
     contact = model.contact
     stiffness = np.zeros(len(model.mass))
