@@ -103,7 +103,7 @@ class Curve:
     def at(self, piece: NDArray[np.int64], s: Floats) -> Floats:
         """(k, 2) Points at the fraction s (0..1 of the angle or length) of the given pieces, (k,) each."""
         a, b = self.points[piece], self.points[piece + 1]
-        straight = a + s[:, None] * (b - a)
+        straight = np.where((s == 1.0)[:, None], b, a + s[:, None] * (b - a))  # the ends to the bit
         if not np.any(self.bulges[piece]):
             return straight
         # On the arc: chord point a + r(s) (b - a) turned by (s - 1) angle/2, r = sin(s t/2) / sin(t/2).
@@ -127,7 +127,8 @@ class Curve:
         """(k, 2) Vertices of an inscribed polygon whose sagitta is at most ``chord_error`` (metres)."""
         angle, length = np.abs(self.angles), self.lengths
         radius = np.where(angle > 0.0, length / np.where(angle > 0.0, angle, 1.0), np.inf)
-        step = 2.0 * np.arccos(np.clip(1.0 - chord_error / radius, -1.0, 1.0))
+        # The sagitta r (1 - cos(step/2)) = 2 r sin^2(step/4); arccos would lose the small ones.
+        step = 4.0 * np.arcsin(np.sqrt(np.minimum(0.5 * chord_error / radius, 1.0)))
         parts = np.where(angle > 0.0, np.ceil(angle / np.where(step > 0.0, step, 1.0)), 1.0)
         parts = np.maximum(1, parts).astype(np.int64)
         piece = np.repeat(np.arange(len(parts)), parts)
@@ -240,7 +241,7 @@ def part(regions: tuple[Region, ...], name: str) -> tuple[Bools, ...]:
     """
     masks = []
     loops = [(loop, k > 0) for region in regions for k, loop in enumerate(region.loops)]
-    given = any(name in (loop.name, *loop.names) for loop, _ in loops)
+    given = bool(name) and any(name in (loop.name, *loop.names) for loop, _ in loops)
     low, high = np.min([r.box[0] for r in regions], axis=0), np.max([r.box[1] for r in regions], axis=0)
     for loop, is_hole in loops:
         if given:

@@ -115,10 +115,28 @@ def _candidates(curve: Curve, starts: Floats, ends: Floats) -> tuple[Ints, Ints]
     reach = 0.5 * np.abs(fine.bulges) * fine.chords + margin  # the sagitta of each part
     part_low = np.minimum(fine.points[:-1], fine.points[1:]) - reach[:, None]
     part_high = np.maximum(fine.points[:-1], fine.points[1:]) + reach[:, None]
+    near = near[_in_same_bins(low[near], high[near], part_low, part_high)]
     tree = shapely.STRtree(shapely.box(*part_low.T, *part_high.T))
     edge, part = tree.query(shapely.box(*low[near].T, *high[near].T))
     code = np.unique(near[edge] * len(parts) + owner[part])
     return code // len(parts), code % len(parts)
+
+
+def _in_same_bins(low: Floats, high: Floats, part_low: Floats, part_high: Floats) -> Bools:
+    """(e,) Whether boxes share a bin with any part: spares the tree all edges far from the curve."""
+    origin = low.min(axis=0)
+    width = float(np.max(high - low))
+    shape = np.floor((high.max(axis=0) - origin) / width).astype(np.int64) + 2
+    marked = np.zeros(shape, dtype=bool)
+    first, last = (np.floor((corner - origin) / width).astype(np.int64) for corner in (part_low, part_high))
+    span = int(np.max(last - first)) + 1  # a few: parts are hardly longer than an edge
+    for i, j in np.ndindex(span, span):
+        bins = first + (i, j)
+        bins = bins[np.all((bins <= last) & (bins >= 0) & (bins < shape), axis=1)]
+        marked[bins[:, 0], bins[:, 1]] = True
+    i0, j0 = np.floor((low - origin) / width).astype(np.int64).T
+    near = marked[i0, j0] | marked[i0 + 1, j0] | marked[i0, j0 + 1] | marked[i0 + 1, j0 + 1]
+    return np.asarray(near)
 
 
 def _line_roots(
