@@ -35,8 +35,8 @@ Overrides = Annotated[
         name="--set",
         negative=(),
         show_default=False,
-        help="Change any key of the case, as in --set time.end=0.005; can be repeated. The value is TOML; a number "
-        "in the path is the place in a list, counted from 0.",
+        help="Change any key of the case, as in --set time.end=0.005; can be repeated. The value is TOML; a "
+        "number in the path is the place in a list, counted from 0.",
     ),
 ]
 
@@ -71,7 +71,7 @@ def run(
 
     ```
     phantomnode run ring_impact
-    phantomnode run ring_impact --set body.ring.initial_velocity=[0,-100] --out fast
+    phantomnode run ring_impact --out fast --set "body.ring.initial_velocity=[0,-100]"
     phantomnode run my_case/case.toml --set time.end=0.002 --set time.step=1e-7
     ```
     """

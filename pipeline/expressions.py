@@ -17,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from simpleeval import InvalidExpression, SimpleEval
 
+from phantomnode.pipeline.errors import CaseError
+
 Floats = NDArray[np.float64]
 TimeFunction = Callable[[Floats], Floats]
 """Values, (n,), of a function at times, (n,) s."""
@@ -25,7 +27,7 @@ MAX_LENGTH = 500
 """Characters in an expression: far more than anyone writes by hand, and too few to nest deeply."""
 
 
-class ExpressionError(ValueError):
+class ExpressionError(CaseError):
     """An expression cannot be used; the message says what is wrong with it and what to write instead."""
 
 
@@ -78,10 +80,11 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.Pow: np.power,
     ast.USub: np.negative,
     ast.UAdd: np.positive,
-    ast.Lt: np.less,
-    ast.LtE: np.less_equal,
-    ast.Gt: np.greater,
-    ast.GtE: np.greater_equal,
+    # Comparisons give 1 or 0: NumPy refuses to subtract truth values.
+    ast.Lt: lambda a, b: np.less(a, b) * 1.0,
+    ast.LtE: lambda a, b: np.less_equal(a, b) * 1.0,
+    ast.Gt: lambda a, b: np.greater(a, b) * 1.0,
+    ast.GtE: lambda a, b: np.greater_equal(a, b) * 1.0,
 }
 
 _REFUSED: dict[type[ast.AST], str] = {
@@ -168,8 +171,11 @@ def parse(text: str, variable: str) -> Expression:
         raise ExpressionError(f"the expression has {len(text)} characters; at most {MAX_LENGTH} are allowed")
     try:
         tree = ast.parse(text.strip(), mode="eval")
+        called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
         for node in ast.walk(tree):
             _refuse(node, text, variable)
+            if isinstance(node, ast.Name) and node.id in FUNCTIONS and id(node) not in called:
+                raise ExpressionError(f"{text!r}: {node.id} is a function; write {node.id}(...)")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, ExpressionError):
             raise
