@@ -88,7 +88,7 @@ class ClippedBodies:
         return np.asarray(np.einsum("pi,pik->pk", self.weights, nodal[self.nodes]))
 
     def per_cell(self, uncut: Floats, points: Floats) -> Floats:
-        """(q + t, ...) One value a cell from those of uncut elements (q, ...) and integration points (3 t, ...).
+        """(q + t, ...) One value a cell from uncut elements, (q, ...), and integration points, (3 t, ...).
 
         A triangle takes the mean of its three points, which carry equal weights.
         """

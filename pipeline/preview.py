@@ -40,7 +40,7 @@ def preview_vtu(prepared: Prepared) -> bytes:
 
 
 def draw_preview(prepared: Prepared, path: Path) -> None:
-    """Write a picture of what the case became: curves, grids, cut elements, phantom nodes, contact, held nodes.
+    """Write a picture of what the case became: curves, grids, elements, phantom nodes, contact, held nodes.
 
     Parameters
     ----------

@@ -11,6 +11,8 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import Fields
 from phantomnode.pipeline.files import write_atomically
@@ -125,14 +127,8 @@ def march(prepared: Prepared, observers: Sequence[Observer]) -> tuple[Ending, fl
     case, steps = prepared.case, steps_of(prepared)
     output = case.output
     samples = sample_steps(steps, output.history.count) | sample_steps(steps, output.fields.count)
-    stream = frames(
-        prepared.model,
-        prepared.velocity,
-        prepared.dt,
-        sorted(samples),
-        prepared.motion,
-        case.guard.energy_error,
-    )
+    guard, at = case.guard.energy_error, np.array(sorted(samples), dtype=np.int64)
+    stream = frames(prepared.model, prepared.velocity, prepared.dt, at, prepared.motion, guard)
     last: Frame | None = None
     stepping = 0.0
     with Interruption() as interruption:
