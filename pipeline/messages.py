@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from phantomnode.pipeline.schema import Case
+from phantomnode.pipeline.values import NAME_PATTERN, PLACE_PATTERN
 
 Keys = tuple[int | str, ...]
 
@@ -125,7 +126,7 @@ def _fault(error: ErrorDetails) -> str:
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _wrong_kind(error)
     if kind == "string_pattern_mismatch":
-        return _PATTERNS[str(context["pattern"]).count(r"\.")]
+        return _PATTERNS[context["pattern"]]
     if kind in ("too_long", "too_short"):
         few = "at least" if kind == "too_short" else "at most"
         count = context.get("min_length" if kind == "too_short" else "max_length")
@@ -133,10 +134,10 @@ def _fault(error: ErrorDetails) -> str:
     return _KINDS.get(kind, error["msg"])
 
 
-_PATTERNS = (
-    "must be a name of letters, digits, _ and -, a letter first",
-    'must be "NAME.PART", the name of a body or interface and its part, as in "ring.outer"',
-)
+_PATTERNS = {
+    NAME_PATTERN: "must be a name of letters, digits, _ and -, a letter first",
+    PLACE_PATTERN: 'must be "NAME.PART", the name of a body or interface and its part, as in "ring.outer"',
+}
 _TAGS = {"=number": "a number", "=text": "text in quotes", "=table": "a table", "=list": "a list"}
 
 

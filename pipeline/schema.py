@@ -82,7 +82,7 @@ class Interface(Table):
     geometry: CurveGeometry = Field(description="a file, one shape or a function, and where it goes")
 
 
-class TimesE(Table):
+class Penalty(Table):
     """A penalty in multiples of Young's modulus."""
 
     times_E: Positive | None = Field(
@@ -91,7 +91,7 @@ class TimesE(Table):
     value: Positive | None = Field(default=None, description="penalty, Pa/m")
 
     @model_validator(mode="after")
-    def _one(self) -> TimesE:
+    def _one(self) -> Penalty:
         self.exactly_one("times_E", "value")
         return self
 
@@ -102,7 +102,7 @@ class Contact(Table):
     slave: Place = Field(description='surface whose points are held, "BODY.PART", as "ring.outer"')
     master: Place = Field(description='surface that holds them, "BODY.PART" or "INTERFACE.plus"')
     penalty: Annotated[
-        Annotated[Literal["auto"], Tag("=text")] | Annotated[TimesE, Tag("=table")],
+        Annotated[Literal["auto"], Tag("=text")] | Annotated[Penalty, Tag("=table")],
         Discriminator(kind_of_value),
     ] = Field(default="auto", description='"auto" (5 E/h), { times_E = 100 } or { value = 1e12 } in Pa/m')
     overlap: Literal["refuse", "offset"] = Field(
