@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from phantomnode.solver.hencky import energy_density, first_piola
+from phantomnode.solver.block import BLOCK, ROOM, J, gather, stress_block, stress_of
+from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.model import CutElements
 from phantomnode.solver.q4 import displacement_gradient
 
@@ -60,6 +61,7 @@ def fragment_elements(
     return CutElements(
         nodes=np.ascontiguousarray(nodes, dtype=np.int64).reshape(c, 4),
         first=first,
+        owner=np.repeat(np.arange(c), np.diff(first)),
         gradient=np.ascontiguousarray(gradient, dtype=np.float64).reshape(-1, 4, 2),
         weight=weight,
         lame=each(lame),
@@ -72,16 +74,21 @@ def fragment_elements(
 def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
     """Add the internal forces of the cut elements to (n, 2) force, N/m; return the smallest J or NaN."""
     smallest, lost = math.inf, False
-    for e in range(len(cut.lame)):
-        nodes = cut.nodes[e]
-        for p in range(cut.first[e], cut.first[e + 1]):
-            gradient, w = cut.gradient[p], cut.weight[p]
-            h11, h12, h21, h22 = displacement_gradient(nodes, gradient, u)
-            p11, p12, p21, p22, j = first_piola(h11, h12, h21, h22, cut.lame[e], cut.shear[e])
+    block, total = np.zeros(ROOM), len(cut.weight)
+    for start in range(0, total, BLOCK):
+        count = min(BLOCK, total - start)
+        for k in range(count):
+            e, w = cut.owner[start + k], cut.weight[start + k]
+            gather(block, k, cut.nodes[e], cut.gradient[start + k], w * cut.lame[e], w * cut.shear[e], u)
+        stress_block(block, count)
+        for k in range(count):
+            e, j = cut.owner[start + k], block[J + k]
+            p11, p12, p21, p22 = stress_of(block, k)
             smallest, lost = min(smallest, j), lost or not j < math.inf
             for i in range(4):
-                force[nodes[i], 0] -= w * (p11 * gradient[i, 0] + p12 * gradient[i, 1])
-                force[nodes[i], 1] -= w * (p21 * gradient[i, 0] + p22 * gradient[i, 1])
+                n, gx, gy = cut.nodes[e, i], cut.gradient[start + k, i, 0], cut.gradient[start + k, i, 1]
+                force[n, 0] -= p11 * gx + p12 * gy
+                force[n, 1] -= p21 * gx + p22 * gy
     return math.nan if lost else smallest
 
 

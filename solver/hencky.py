@@ -34,6 +34,22 @@ def atanh_series(y: float) -> float:
     return low + y4 * (middle + y4 * high)
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def strain_measures(
+    h11: float, h12: float, h21: float, h22: float
+) -> tuple[float, float, float, float, float, float]:
+    """What ln B is made of: (B11 - B22)/2, B12, 1/(m + J), y, z and J - 1, from H = F - I."""
+    # B - I, term by term, and J - 1: nothing of order one is subtracted.
+    b11 = 2.0 * h11 + h11 * h11 + h12 * h12
+    b22 = 2.0 * h22 + h21 * h21 + h22 * h22
+    b12 = h12 + h21 + h11 * h21 + h12 * h22
+    j1 = h11 + h22 + (h11 * h22 - h12 * h21)
+    half = 0.5 * (b11 - b22)
+    inverse = 1.0 / (2.0 + 0.5 * (b11 + b22) + j1)
+    y = (half * half + b12 * b12) * (inverse * inverse)
+    return half, b12, inverse, y, j1 / (2.0 + j1), j1
+
+
 @njit(cache=True, error_model="numpy")
 def logarithm(h11: float, h12: float, h21: float, h22: float) -> tuple[float, float, float, float]:
     """Logarithm of B = F F^T from the displacement gradient H = F - I.
@@ -43,23 +59,16 @@ def logarithm(h11: float, h12: float, h21: float, h22: float) -> tuple[float, fl
     log_j, d, c12, j : float
         ln B = log_j I + [[d, c12], [c12, -d]]; and J = det F. All but J are NaN or infinite where J <= 0.
     """
-    # B - I, term by term, and J - 1: nothing of order one is subtracted.
-    b11 = 2.0 * h11 + h11 * h11 + h12 * h12
-    b22 = 2.0 * h22 + h21 * h21 + h22 * h22
-    b12 = h12 + h21 + h11 * h21 + h12 * h22
-    j1 = h11 + h22 + (h11 * h22 - h12 * h21)
-    half = 0.5 * (b11 - b22)
-    scale = 2.0 + 0.5 * (b11 + b22) + j1  # m + J
-    y = (half * half + b12 * b12) / (scale * scale)
-    z = j1 / (2.0 + j1)
-    z2 = z * z
-    if y <= SERIES_LIMIT and z2 <= SERIES_LIMIT:
-        log_j = 2.0 * z * atanh_series(z2)
-        factor = 2.0 * atanh_series(y) / scale
-    else:
-        log_j = math.log1p(j1) if j1 > -1.0 else math.nan
+    half, b12, inverse, y, z, j1 = strain_measures(h11, h12, h21, h22)
+    if y <= SERIES_LIMIT and z * z <= SERIES_LIMIT:
+        log_j = 2.0 * z * atanh_series(z * z)
+        factor = 2.0 * atanh_series(y) * inverse
+    elif j1 > -1.0:
         root = math.sqrt(y)
-        factor = 2.0 * (math.atanh(root) / root if root > 0.0 else 1.0) / scale
+        log_j = math.log1p(j1)
+        factor = 2.0 * (math.atanh(root) / root if root > 0.0 else 1.0) * inverse
+    else:
+        log_j, factor = math.nan, math.nan
     return log_j, factor * half, factor * b12, 1.0 + j1
 
 
@@ -112,17 +121,24 @@ def cauchy(
     return (mean + shear * d) / j, (mean - shear * d) / j, lame * log_j / j, shear * c12 / j
 
 
-@njit(cache=True, error_model="numpy")
-def first_piola(
-    h11: float, h12: float, h21: float, h22: float, lame: float, shear: float
-) -> tuple[float, float, float, float, float]:
-    """First Piola-Kirchhoff stress P = tau F^-T, Pa: P11, P12, P21, P22, and J."""
-    t11, t22, t12, j = kirchhoff(h11, h12, h21, h22, lame, shear)
+@njit(cache=True, error_model="numpy", inline="always")
+def pull_back(
+    t11: float, t22: float, t12: float, h11: float, h12: float, h21: float, h22: float, j: float
+) -> tuple[float, float, float, float]:
+    """P = tau F^-T: P11, P12, P21, P22, in the unit of tau."""
     f11, f22, inverse = 1.0 + h11, 1.0 + h22, 1.0 / j
     return (
         (t11 * f22 - t12 * h12) * inverse,
         (t12 * f11 - t11 * h21) * inverse,
         (t12 * f22 - t22 * h12) * inverse,
         (t22 * f11 - t12 * h21) * inverse,
-        j,
     )
+
+
+@njit(cache=True, error_model="numpy")
+def first_piola(
+    h11: float, h12: float, h21: float, h22: float, lame: float, shear: float
+) -> tuple[float, float, float, float]:
+    """First Piola-Kirchhoff stress P = tau F^-T, Pa: P11, P12, P21, P22."""
+    t11, t22, t12, j = kirchhoff(h11, h12, h21, h22, lame, shear)
+    return pull_back(t11, t22, t12, h11, h12, h21, h22, j)

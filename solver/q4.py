@@ -15,7 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from phantomnode.solver.hencky import energy_density, first_piola
+from phantomnode.solver.block import BLOCK, QX, QY, ROOM, J, gather, stress_block, stress_of
+from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.model import Elements
 
 Floats = NDArray[np.float64]
@@ -121,17 +122,32 @@ def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
         The smallest J met; NaN where one is not finite.
     """
     smallest, lost = math.inf, False
-    for e in range(len(elements.volume)):
-        nodes, gradient, gamma = elements.nodes[e], elements.gradient[e], elements.gamma[e]
-        h11, h12, h21, h22 = displacement_gradient(nodes, gradient, u)
-        qx, qy = hourglass_mode(nodes, gamma, u)
-        p11, p12, p21, p22, j = first_piola(h11, h12, h21, h22, elements.lame[e], elements.shear[e])
-        smallest, lost = min(smallest, j), lost or not j < math.inf
-        v, k = elements.volume[e], elements.hourglass[e]
-        for i in range(4):
-            force[nodes[i], 0] -= v * (p11 * gradient[i, 0] + p12 * gradient[i, 1]) + k * qx * gamma[i]
-            force[nodes[i], 1] -= v * (p21 * gradient[i, 0] + p22 * gradient[i, 1]) + k * qy * gamma[i]
+    block, total = np.zeros(ROOM), len(elements.volume)
+    for start in range(0, total, BLOCK):
+        count = min(BLOCK, total - start)
+        gather_elements(block, elements, start, count, u)
+        stress_block(block, count)
+        for k in range(count):
+            e = start + k
+            p11, p12, p21, p22 = stress_of(block, k)
+            j, qx, qy = block[J + k], block[QX + k], block[QY + k]
+            smallest, lost = min(smallest, j), lost or not j < math.inf
+            for i in range(4):
+                n, gx, gy = elements.nodes[e, i], elements.gradient[e, i, 0], elements.gradient[e, i, 1]
+                force[n, 0] -= p11 * gx + p12 * gy + qx * elements.gamma[e, i]
+                force[n, 1] -= p21 * gx + p22 * gy + qy * elements.gamma[e, i]
     return math.nan if lost else smallest
+
+
+@njit(cache=True, error_model="numpy")
+def gather_elements(block: Floats, elements: Elements, start: int, count: int, u: Floats) -> None:
+    """Fill a block with the elements from ``start`` on: displacement gradients and hourglass forces."""
+    for k in range(count):
+        e = start + k
+        nodes, v = elements.nodes[e], elements.volume[e]
+        gather(block, k, nodes, elements.gradient[e], v * elements.lame[e], v * elements.shear[e], u)
+        qx, qy = hourglass_mode(nodes, elements.gamma[e], u)
+        block[QX + k], block[QY + k] = elements.hourglass[e] * qx, elements.hourglass[e] * qy
 
 
 @njit(cache=True, error_model="numpy")
