@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,29 @@ from numpy.typing import NDArray
 from phantomnode.geometry.curves import Curve, Region
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.geometry.grid import BackgroundGrid
-from phantomnode.pipeline.case import Case
+from phantomnode.geometry.levelset import LevelSet
+from phantomnode.pipeline.assembly import (
+    POINTS_PER_SEGMENT,
+    PairSurfaces,
+    cut_elements,
+    joined_contact,
+    joined_cut_elements,
+    joined_elements,
+    pair_surfaces,
+    uncut_elements,
+)
+from phantomnode.pipeline.bodies import CutBody, at, cut_body
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.expressions import time_function
+from phantomnode.pipeline.motion import Channel, PrescribedMotion
+from phantomnode.pipeline.schema import Boundary as BoundaryTable
+from phantomnode.pipeline.schema import Case
+from phantomnode.pipeline.schema import Contact as ContactTable
+from phantomnode.pipeline.surfaces import Surface, nodes_on_edges, surface
+from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Model
-from phantomnode.solver.timestep import StepEstimate
+from phantomnode.solver.search import prepare_search
+from phantomnode.solver.timestep import StepEstimate, stable_step
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -90,13 +110,6 @@ class Boundary:
     nodes: Ints
 
 
-class Motion(Protocol):
-    """The prescribed motions of a case."""
-
-    def increments(self, first_step: int, steps: int, dt: float) -> Floats:
-        """(steps, channels) Displacement increments over the steps that begin at times first_step*dt, ..."""
-
-
 @dataclass(frozen=True)
 class Prepared:
     """A case that is ready to run.
@@ -110,7 +123,7 @@ class Prepared:
     model : Model
     velocity : (n, 2) float64, m/s
         Initial velocity of every node.
-    motion : Motion
+    motion : PrescribedMotion
     estimate : StepEstimate
         The stable time step and what limits it.
     dt : float, s
@@ -125,7 +138,244 @@ class Prepared:
     boundaries: tuple[Boundary, ...]
     model: Model
     velocity: Floats
-    motion: Motion
+    motion: PrescribedMotion
     estimate: StepEstimate
     dt: float
     warnings: tuple[str, ...]
+
+
+OVERLAP = 1e-6
+"""Depth, in cell sizes, up to which surfaces touch at the start and do not overlap (the lattice: 2e-7)."""
+
+AUTO_PENALTY = 5.0
+"""The automatic penalty in E/h: 1 to 10 is the range where it is stiff and the pressure still smooth."""
+
+
+def prepare(case: Case) -> Prepared:
+    """Everything that a run needs, from a validated case.
+
+    Raises
+    ------
+    CaseError
+        Naming the key at fault: a file that cannot be read, a body outside its grid, an unknown part, surfaces
+        that overlap at the start, a step that is not stable.
+    """
+    cut = {name: cut_body(case, name) for name in case.body}
+    bodies = _bodies(case, cut)
+    first_node = {body.name: body.nodes.start for body in bodies}
+    surfaces = {
+        name: tuple(surface(place, cut, f"contact.{name}.{end}") for end, place in _ends(pair))
+        for name, pair in case.contact.items()
+    }
+    contact = [pair_surfaces(slave, master, cut, first_node) for slave, master in surfaces.values()]
+    channel, motion, boundaries = _boundaries(case, cut, bodies)
+    model = _model(case, cut, bodies, surfaces, contact, channel, len(motion.channels))
+    _check_overlap(case, cut, surfaces, model)
+    estimate = stable_step(model, case.time.safety)
+    dt = _step(case, estimate)
+    velocity = np.vstack([np.tile(case.body[b.name].initial_velocity, (len(b.mesh.xy), 1)) for b in bodies])
+    warnings = tuple(note for body in cut.values() for note in body.notes)
+    pairs = _pairs(case, contact)
+    return Prepared(case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings)
+
+
+def _ends(pair: ContactTable) -> tuple[tuple[str, str], tuple[str, str]]:
+    """The two surfaces of a pair with their keys."""
+    return ("slave", pair.slave), ("master", pair.master)
+
+
+def _bodies(case: Case, cut: dict[str, CutBody]) -> tuple[Body, ...]:
+    """The bodies with their places in the lists of the model."""
+    bodies, node, element, cut_element = [], 0, 0, 0
+    for name, body in cut.items():
+        nodes, whole = len(body.mesh.xy), int(np.count_nonzero(~body.mesh.cut))
+        parts = len(body.mesh.elements) - whole
+        bodies.append(
+            Body(
+                name=name,
+                regions=body.regions,
+                interfaces=body.interfaces,
+                grid=body.grid,
+                relocated=body.relocated,
+                mesh=body.mesh,
+                nodes=slice(node, node + nodes),
+                elements=slice(element, element + whole),
+                cut_elements=slice(cut_element, cut_element + parts),
+                rho=case.material[case.body[name].material].rho,
+            )
+        )
+        node, element, cut_element = node + nodes, element + whole, cut_element + parts
+    return tuple(bodies)
+
+
+def _model(
+    case: Case,
+    cut: dict[str, CutBody],
+    bodies: tuple[Body, ...],
+    surfaces: dict[str, tuple[Surface, ...]],
+    contact: list[PairSurfaces],
+    channel: Ints,
+    channels: int,
+) -> Model:
+    """The arrays of all bodies behind each other, with a quarter of each element's mass on its nodes."""
+    materials = {body.name: case.material[case.body[body.name].material] for body in bodies}
+    elements = joined_elements(
+        [uncut_elements(b.mesh, b.nodes.start, materials[b.name], case.hourglass) for b in bodies]
+    )
+    fragments = joined_cut_elements([cut_elements(b.mesh, b.nodes.start, materials[b.name]) for b in bodies])
+    x = np.vstack([body.mesh.xy for body in bodies])
+    mass = np.zeros(len(x))
+    np.add.at(mass, elements.nodes, 0.25 * elements.mass[:, None])
+    np.add.at(mass, fragments.nodes, 0.25 * fragments.mass[:, None])
+    penalty = [_penalty(case, name, cut, *pair) for name, pair in surfaces.items()]
+    reach = [max(cut[surface.body].grid.cell_size for surface in pair) for pair in surfaces.values()]
+    return Model(
+        x=x,
+        mass=mass,
+        load=mass[:, None] * np.array(case.gravity),
+        channel=channel,
+        channels=channels,
+        elements=elements,
+        cut_elements=fragments,
+        contact=joined_contact(contact, np.array(penalty, dtype=float), np.array(reach, dtype=float)),
+    )
+
+
+def _penalty(case: Case, name: str, cut: dict[str, CutBody], slave: Surface, master: Surface) -> float:
+    """The penalty of a pair, Pa/m."""
+    penalty = case.contact[name].penalty
+    moduli = [case.material[case.body[surface.body].material].E for surface in (slave, master)]
+    if isinstance(penalty, str):
+        return AUTO_PENALTY * min(moduli) / cut[slave.body].grid.cell_size
+    return penalty.value if penalty.value is not None else float(penalty.times_E or 0.0) * moduli[0]
+
+
+def _pairs(case: Case, contact: list[PairSurfaces]) -> tuple[Pair, ...]:
+    """The contact pairs with the places of their slave points in the model."""
+    pairs, first = [], 0
+    for (name, table), surfaces in zip(case.contact.items(), contact, strict=True):
+        points = slice(first, first + len(surfaces.weight))
+        first = points.stop
+        pairs.append(
+            Pair(
+                name=name,
+                slave=table.slave,
+                master=table.master,
+                segment_nodes=surfaces.slave_nodes,
+                start_shape=surfaces.slave_start,
+                end_shape=surfaces.slave_end,
+                points=points,
+                points_per_segment=POINTS_PER_SEGMENT,
+            )
+        )
+    return tuple(pairs)
+
+
+def _boundaries(
+    case: Case, cut: dict[str, CutBody], bodies: tuple[Body, ...]
+) -> tuple[Ints, PrescribedMotion, tuple[Boundary, ...]]:
+    """Which motion holds each degree of freedom of the model, real and phantom nodes alike."""
+    offset = {body.name: body.nodes.start for body in bodies}
+    channel = np.full((bodies[-1].nodes.stop, 2), -1, dtype=np.int64)
+    channels: list[Channel] = []
+    boundaries = []
+    for name, table in case.boundary.items():
+        owner, nodes = _held_nodes(table, cut, f"boundary.{name}.on")
+        nodes = nodes + offset[owner]
+        rows = [-1, -1]
+        for axis, made in enumerate(_channels(case, name, table, owner)):
+            if made is None:
+                continue
+            taken = channel[nodes, axis]
+            if np.any(taken >= 0):
+                first = next(b.name for b in boundaries if taken.max() in b.channels)
+                raise CaseError(
+                    f"boundary.{name}: {np.count_nonzero(taken >= 0)} nodes are already moved in "
+                    f"{'xy'[axis]} by boundary.{first}; leave one of the two out there"
+                )
+            rows[axis] = len(channels)
+            channel[nodes, axis] = len(channels)
+            channels.append(made)
+        boundaries.append(Boundary(name, (rows[0], rows[1]), nodes))
+    return channel, PrescribedMotion(tuple(channels)), tuple(boundaries)
+
+
+def _held_nodes(table: BoundaryTable, cut: dict[str, CutBody], key: str) -> tuple[str, Ints]:
+    """The body that a boundary holds, and its nodes, real and phantom alike."""
+    if isinstance(table.on, str):
+        part = surface(table.on, cut, key)
+        return part.body, nodes_on_edges(cut[part.body], part.segments, key, table.on)
+    xy = cut[table.on.body].mesh.xy
+    low, high = np.array(table.on.box)
+    margin = 1e-9 * cut[table.on.body].grid.cell_size  # a node drawn on the side of the box is in it
+    nodes = np.flatnonzero(np.all((xy >= low - margin) & (xy <= high + margin), axis=1))
+    if len(nodes) == 0:
+        raise CaseError(f"{key}: no node of {table.on.body} lies in the box; it spans {_span(xy)}")
+    return table.on.body, nodes
+
+
+def _span(xy: Floats) -> str:
+    """The bounding box of nodes, for messages."""
+    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    return f"[[{x0:.6g}, {y0:.6g}], [{x1:.6g}, {y1:.6g}]] m"
+
+
+def _channels(case: Case, name: str, table: BoundaryTable, body: str) -> list[Channel | None]:
+    """The motions of a boundary in x and y."""
+    made: list[Channel | None] = []
+    for kind in ("displacement", "velocity", "acceleration"):
+        directions = getattr(table, kind)
+        if directions is None:
+            continue
+        for axis, value in enumerate((directions.x, directions.y)):
+            key = f"boundary.{name}.{kind}.{'xy'[axis]}"
+            if value is None:
+                made.append(None)
+                continue
+            function = time_function(value)
+            with at(case, key):
+                start = float(function(np.zeros(1))[0])
+                function(np.linspace(0.0, case.time.end, 1001))  # finite over the whole run
+            if kind == "displacement" and start != 0.0:
+                raise CaseError(
+                    f"{key}: the displacement is {start:g} m at t = 0, a jump; let it start from 0, "
+                    f'for instance "{start:g}*min(t/{0.1 * case.time.end:g}, 1)"'
+                )
+            made.append(Channel(kind, function, case.body[body].initial_velocity[axis]))
+    return made
+
+
+def _check_overlap(
+    case: Case, cut: dict[str, CutBody], surfaces: dict[str, tuple[Surface, ...]], model: Model
+) -> None:
+    """Refuse surfaces that overlap before the first step: each millimetre would add energy eps g^2/2."""
+    gaps = initial_state(model, np.zeros_like(model.x), prepare_search(model.contact)).gap
+    for k, (name, (slave, master)) in enumerate(surfaces.items()):
+        first, last = model.contact.slave_first[k : k + 2]
+        depth = gaps[first:last]
+        if slave.body != master.body:
+            # Beyond the reach of the search, the drawing itself tells.
+            ends = cut[slave.body].mesh.segments.ends[slave.segments]
+            points = np.repeat(ends.mean(axis=1), POINTS_PER_SEGMENT, axis=0)
+            depth = np.maximum(depth, LevelSet.of_regions(cut[master.body].regions).distance(points))
+        worst = int(np.argmax(depth))
+        if depth[worst] > OVERLAP * cut[slave.body].grid.cell_size:
+            x, y = cut[slave.body].mesh.segments.ends[slave.segments][worst // POINTS_PER_SEGMENT].mean(axis=0)
+            raise CaseError(
+                f"contact.{name}: {case.contact[name].slave} and {case.contact[name].master} overlap at the start "
+                f"by {depth[worst]:.3g} m near ({x:.6g}, {y:.6g}) m: move one of the bodies (geometry move = "
+                "[dx, dy]), or measure gaps from this state (overlap = \"offset\")"
+            )
+
+
+def _step(case: Case, estimate: StepEstimate) -> float:
+    """The step of the run: an even part of its length, at most the stable or the given step."""
+    wanted = estimate.dt if isinstance(case.time.step, str) else case.time.step
+    limit = estimate.dt / case.time.safety
+    if wanted > limit and not case.time.force:
+        raise CaseError(
+            f"time.step: {wanted:g} s is unstable; the stable step is {limit:.4g} s (elements "
+            f"{2.0 / estimate.element_frequency:.4g} s, contact closed). Take step = \"auto\" or at most "
+            f"{estimate.dt:.4g}, or force = true to run all the same"
+        )
+    return case.time.end / math.ceil(case.time.end / wanted * (1.0 - 1e-12))

@@ -1,0 +1,179 @@
+"""Cut meshes become the arrays that kernels see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.geometry.bilinear import gradients, shape, to_local
+from phantomnode.geometry.doubling import CutMesh
+from phantomnode.pipeline.bodies import CutBody
+from phantomnode.pipeline.schema import Material
+from phantomnode.pipeline.surfaces import Surface, closed_surface
+from phantomnode.solver.cut_elements import fragment_elements
+from phantomnode.solver.model import Contact, CutElements, Elements
+from phantomnode.solver.q4 import one_point_elements
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+POINTS_PER_SEGMENT = 2
+"""Gauss points on each slave segment (paper, section 4.1)."""
+
+GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+
+TRIANGLE_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6.0
+"""Three points a triangle, exact for quadratic functions, with a third of the area each."""
+
+
+def lame_constants(material: Material) -> tuple[float, float]:
+    """Lame's lambda and mu, Pa."""
+    shear = material.E / (2.0 * (1.0 + material.nu))
+    return 2.0 * shear * material.nu / (1.0 - 2.0 * material.nu), shear
+
+
+def uncut_elements(mesh: CutMesh, first_node: int, material: Material, kappa: float) -> Elements:
+    """The uncut elements of one body, in the order of the mesh."""
+    nodes = mesh.elements[~mesh.cut]
+    lame, shear = lame_constants(material)
+    return one_point_elements(nodes + first_node, mesh.xy[nodes], lame, shear, material.rho, kappa)
+
+
+def cut_elements(mesh: CutMesh, first_node: int, material: Material) -> CutElements:
+    """The cut elements of one body, with three integration points on each triangle of the fragment."""
+    elements = np.flatnonzero(mesh.cut)
+    per_element = np.bincount(mesh.triangle_element, minlength=len(mesh.elements))[elements]
+    points = np.einsum("pk,tka->tpa", TRIANGLE_POINTS, mesh.triangles).reshape(-1, 2)
+    corners = np.repeat(mesh.xy[mesh.elements[mesh.triangle_element]], 3, axis=0)
+    side1, side2 = np.moveaxis(mesh.triangles[:, 1:] - mesh.triangles[:, :1], 1, 0)
+    area = 0.5 * (side1[:, 0] * side2[:, 1] - side1[:, 1] * side2[:, 0])
+    lame, shear = lame_constants(material)
+    return fragment_elements(
+        mesh.elements[elements] + first_node,
+        np.concatenate([[0], np.cumsum(3 * per_element)]),
+        gradients(corners, to_local(corners, points)),
+        np.repeat(area / 3.0, 3),
+        lame,
+        shear,
+        material.rho,
+    )
+
+
+def joined_elements(parts: list[Elements]) -> Elements:
+    """The lists of several bodies behind each other."""
+    return Elements(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*parts, strict=True)))
+
+
+def joined_cut_elements(parts: list[CutElements]) -> CutElements:
+    """The lists of several bodies behind each other."""
+    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    offsets = np.cumsum([0, *(len(p.weight) for p in parts[:-1])])
+    ends = [p.first[1:] + offset for p, offset in zip(parts, offsets, strict=True)]
+    result = CutElements(*(np.ascontiguousarray(column) for column in joined))
+    return result._replace(first=np.concatenate([[0], *ends]).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class PairSurfaces:
+    """The two surfaces of one contact pair, in nodes of the model.
+
+    Attributes
+    ----------
+    slave_nodes : (s, 4) int64
+        Nodes of the parent element of each slave segment.
+    slave_start, slave_end : (s, 4) float64
+        Shape functions at its ends.
+    points, point_shape, weight : (g, 4) int64, (g, 4) float64, (g,) float64
+        Nodes, shape functions and reference length, m, of the slave points, segment by segment.
+    master_nodes, master_start, master_end : (m, 4)
+        The same for the master segments, closed around the ends of the named surface.
+    previous, following : (m,) int64
+        Neighbours of the master segments within the pair, -1 at a free end.
+    """
+
+    slave_nodes: Ints
+    slave_start: Floats
+    slave_end: Floats
+    points: Ints
+    point_shape: Floats
+    weight: Floats
+    master_nodes: Ints
+    master_start: Floats
+    master_end: Floats
+    previous: Ints
+    following: Ints
+
+
+def pair_surfaces(
+    slave: Surface, master: Surface, bodies: dict[str, CutBody], first_node: dict[str, int]
+) -> PairSurfaces:
+    """Slave points and master segments of one contact pair."""
+    mesh = bodies[slave.body].mesh
+    segments = mesh.segments
+    parents = segments.element[slave.segments]
+    ends = segments.ends[slave.segments]
+    local_points = np.einsum("g,sa->sga", 1.0 - GAUSS, ends[:, 0]) + np.einsum("g,sa->sga", GAUSS, ends[:, 1])
+    owners = np.repeat(mesh.elements[parents], POINTS_PER_SEGMENT, axis=0)
+    length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    other = bodies[master.body].mesh
+    same = slave.body == master.body
+    closed = closed_surface(other.segments, master.segments, slave.segments if same else np.zeros(0, dtype=int))
+    number = np.full(len(other.segments.ends) + 1, -1)  # the last stands for "no neighbour"
+    number[closed] = np.arange(len(closed))
+    following = number[other.segments.following[closed]]
+    previous = np.full(len(closed), -1)
+    previous[following[following >= 0]] = np.flatnonzero(following >= 0)
+    return PairSurfaces(
+        slave_nodes=mesh.elements[parents] + first_node[slave.body],
+        slave_start=shape(segments.local[slave.segments, 0]),
+        slave_end=shape(segments.local[slave.segments, 1]),
+        points=owners + first_node[slave.body],
+        point_shape=shape(to_local(mesh.xy[owners], local_points.reshape(-1, 2))),
+        weight=np.repeat(length / POINTS_PER_SEGMENT, POINTS_PER_SEGMENT),
+        master_nodes=other.elements[other.segments.element[closed]] + first_node[master.body],
+        master_start=shape(other.segments.local[closed, 0]),
+        master_end=shape(other.segments.local[closed, 1]),
+        previous=previous,
+        following=following,
+    )
+
+
+def joined_contact(pairs: list[PairSurfaces], penalty: Floats, reach: Floats) -> Contact:
+    """All pairs in one list.
+
+    Parameters
+    ----------
+    pairs : list of PairSurfaces
+    penalty : (k,) float64, Pa/m
+    reach : (k,) float64, metres
+    """
+
+    def stacked(name: str, empty: Floats | Ints) -> NDArray[np.generic]:
+        return np.ascontiguousarray(np.concatenate([empty, *(getattr(pair, name) for pair in pairs)]))
+
+    slave_first = np.cumsum([0, *(len(pair.weight) for pair in pairs)])
+    master_first = np.cumsum([0, *(len(pair.following) for pair in pairs)])
+    no_nodes, no_shape = np.zeros((0, 4), dtype=np.int64), np.zeros((0, 4))
+    links = []
+    for name in ("previous", "following"):
+        shifted = [
+            np.where(getattr(pair, name) >= 0, getattr(pair, name) + offset, -1)
+            for pair, offset in zip(pairs, master_first, strict=False)
+        ]
+        links.append(np.concatenate([np.zeros(0, dtype=np.int64), *shifted]))
+    return Contact(
+        slave_nodes=stacked("points", no_nodes),
+        slave_shape=stacked("point_shape", no_shape),
+        slave_weight=stacked("weight", np.zeros(0)),
+        slave_first=slave_first.astype(np.int64),
+        master_nodes=stacked("master_nodes", no_nodes),
+        start_shape=stacked("master_start", no_shape),
+        end_shape=stacked("master_end", no_shape),
+        previous=links[0],
+        following=links[1],
+        master_first=master_first.astype(np.int64),
+        penalty=penalty,
+        reach=reach,
+    )

@@ -1,0 +1,192 @@
+"""Each body of a case on its way from a drawing to a cut mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.geometry import grid as grids
+from phantomnode.geometry import shapes
+from phantomnode.geometry.curves import Curve, Geometry, Region
+from phantomnode.geometry.cut import cut
+from phantomnode.geometry.doubling import CutMesh, double
+from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.noding import Lattice
+from phantomnode.geometry.readers import read_geometry, read_quads
+from phantomnode.geometry.relocate import relocate
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.expressions import ExpressionError, parse
+from phantomnode.pipeline.schema import Case
+from phantomnode.pipeline.shapes import (
+    BodyGeometry,
+    CartesianGrid,
+    CurveGeometry,
+    FileGrid,
+    MappedGrid,
+    PolarGrid,
+)
+
+Floats = NDArray[np.float64]
+
+CHORD_ERROR = 1e-6
+"""A function y(x) is followed by straight lines within this part of its width."""
+
+
+@dataclass(frozen=True)
+class CutBody:
+    """One body cut out of its background grid, before it joins the model.
+
+    Attributes
+    ----------
+    regions : tuple of Region
+        Its outlines, placed.
+    interfaces : tuple of (str, Curve)
+        The curves inside it with the names of their interfaces.
+    grid : BackgroundGrid
+        After relocation.
+    relocated : int
+        Number of relocated grid nodes.
+    mesh : CutMesh
+    notes : tuple of str
+        What was mended in the drawing, what the grid is too coarse for.
+    """
+
+    regions: tuple[Region, ...]
+    interfaces: tuple[tuple[str, Curve], ...]
+    grid: BackgroundGrid
+    relocated: int
+    mesh: CutMesh
+    notes: tuple[str, ...]
+
+
+def cut_body(case: Case, name: str) -> CutBody:
+    """Read, place, relocate, cut and double one body.
+
+    Raises
+    ------
+    CaseError
+        With the key of the body, grid or interface at fault.
+    """
+    with at(case, f"body.{name}.geometry"):
+        regions, notes = _regions(case, case.body[name].geometry)
+    interfaces: list[tuple[str, Curve]] = []
+    for label, interface in case.interface.items():
+        if interface.body == name:
+            with at(case, f"interface.{label}.geometry"):
+                curves, more = _curves(case, interface.geometry, regions)
+                interfaces += [(label, curve) for curve in curves]
+                notes += more
+    with at(case, f"body.{name}.grid"):
+        grid = grids.check(_grid(case, name, regions))
+    with at(case, f"body.{name}"):
+        curves = tuple(curve for _, curve in interfaces)
+        loops = [loop for region in regions for loop in region.loops]
+        relocation = relocate(grid, [*loops, *curves], case.relocation.distance)
+        mesh = double(relocation.grid, cut(relocation.grid, regions, curves, Lattice.of(grid)))
+    notes = tuple(f"body {name}: {note}" for note in (*notes, *mesh.notes))
+    moved = int(np.count_nonzero(relocation.moved))
+    return CutBody(regions, tuple(interfaces), relocation.grid, moved, mesh, notes)
+
+
+@contextmanager
+def at(case: Case, key: str) -> Iterator[None]:
+    """Say at which key of the case a geometry or expression failed."""
+    try:
+        yield
+    except (GeometryError, ExpressionError) as error:
+        raise CaseError(f"{case.name}: {key}: {error}") from error
+
+
+def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tuple[str, ...]]:
+    """The outlines of a body, placed, with the reader's notes."""
+    source = _drawing(case, geometry)
+    if not source.regions:
+        raise GeometryError(
+            "there is no closed outline: a body needs one "
+            f"({len(source.curves)} open curves were found; join their ends in the drawing)"
+        )
+    if geometry.region is not None:
+        names = sorted({region.name for region in source.regions if region.name})
+        chosen = tuple(region for region in source.regions if region.name == geometry.region)
+        if not chosen:
+            raise GeometryError(f"no region is named {geometry.region!r}; there are: {', '.join(names) or 'none'}")
+        source = Geometry(chosen, source.curves, source.notes)
+    elif isinstance(geometry, BodyGeometry) and geometry.file is not None and source.curves:
+        note = f"{len(source.curves)} curves of {geometry.file} are no part of an outline and are left out"
+        source = Geometry(source.regions, (), (*source.notes, note))
+    placed = shapes.placed(source, geometry.move, geometry.rotate, geometry.scale)
+    return placed.regions, source.notes
+
+
+def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
+    """A body's geometry before it is placed."""
+    if geometry.file is not None:
+        return read_geometry(case.path(geometry.file), geometry.unit, trust_scripts=geometry.trust_scripts)
+    if geometry.rectangle is not None:
+        return Geometry((shapes.rectangle(geometry.rectangle.low, geometry.rectangle.high),))
+    if geometry.circle is not None:
+        return Geometry((shapes.circle(geometry.circle.centre, geometry.circle.radius),))
+    if geometry.ring is not None:
+        ring = geometry.ring
+        return Geometry((shapes.ring(ring.centre, ring.outer, ring.inner),))
+    assert geometry.polygon is not None  # the schema asks for exactly one source
+    return Geometry((shapes.polygon(geometry.polygon.points),))
+
+
+def _curves(
+    case: Case, geometry: CurveGeometry, regions: tuple[Region, ...] = ()
+) -> tuple[tuple[Curve, ...], tuple[str, ...]]:
+    """The curves of an interface, placed, with the reader's notes."""
+    notes: tuple[str, ...] = ()
+    if geometry.file is not None:
+        drawing = read_geometry(case.path(geometry.file), geometry.unit, trust_scripts=geometry.trust_scripts)
+        loops = tuple(loop for region in drawing.regions for loop in region.loops)
+        curves, notes = (*drawing.curves, *loops), drawing.notes
+    elif geometry.polyline is not None:
+        curves = (shapes.polyline(geometry.polyline.points),)
+    elif geometry.circle is not None:
+        curves = (shapes.circle(geometry.circle.centre, geometry.circle.radius).outer,)
+    else:
+        assert geometry.function is not None  # the schema asks for exactly one source
+        curves = (_graph(geometry.function, geometry.x, regions),)
+    placed = shapes.placed(Geometry((), curves), geometry.move, geometry.rotate, geometry.scale)
+    return placed.curves, notes
+
+
+def _graph(function: str, span: tuple[float, float] | None, regions: tuple[Region, ...]) -> Curve:
+    """The curve y = f(x) over a span, by default the width of the body."""
+    if span is None:
+        if not regions:
+            raise GeometryError("x = [first, last] must be given: there is no body whose width could be taken")
+        boxes = np.array([region.box for region in regions])
+        span = (float(boxes[:, 0, 0].min()), float(boxes[:, 1, 0].max()))
+    return shapes.graph(parse(function, "x"), span[0], span[1], CHORD_ERROR * (span[1] - span[0]))
+
+
+def _grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
+    """The background grid of a body."""
+    grid = case.grid_of(name)
+    if isinstance(grid, CartesianGrid):
+        boxes = np.array([region.box for region in regions])
+        low, high = grid.box or (boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))
+        return grids.cartesian(low, high, cell=grid.spacing, counts=grid.counts, aligned=grid.aligned)
+    if isinstance(grid, PolarGrid):
+        return grids.polar(grid.centre, grid.radii, grid.angles, grid.counts)
+    if isinstance(grid, MappedGrid):
+        sides = [_one_curve(case, side) for side in (grid.bottom, grid.right, grid.top, grid.left)]
+        return grids.mapped(*sides, grid.counts)
+    assert isinstance(grid, FileGrid)
+    return read_quads(case.path(grid.file), grid.unit)
+
+
+def _one_curve(case: Case, geometry: CurveGeometry) -> Curve:
+    """The one curve of a side of a mapped grid."""
+    curves, _ = _curves(case, geometry)
+    if len(curves) != 1:
+        raise GeometryError(f"a side of a mapped grid is one curve, but {len(curves)} were found")
+    return curves[0]
