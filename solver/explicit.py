@@ -24,8 +24,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 SETTLED = 64
-"""From this step on the energy error is held against the guard. A load that sets in at once excites the fastest
-waves first, and of the little energy of the first steps they make a tenth oscillate at the usual time step."""
+"""From this step on the energy error is held against the guard. A load that sets in at once excites the
+fastest waves first; at the usual step they make a tenth of the little energy of the first steps oscillate."""
 
 CHUNK = 4096
 """Most steps between two looks at the guards and at the keyboard."""

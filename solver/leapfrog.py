@@ -75,7 +75,8 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
 @njit(cache=True, error_model="numpy")
 def evaluate_elements(model: Model, state: State) -> int:
     """Load, internal and hourglass forces at the current displacement; whether the elements are sound."""
-    state.force[:] = model.load
+    for i in range(len(model.load)):
+        state.force[i, 0], state.force[i, 1] = model.load[i, 0], model.load[i, 1]
     smallest_j = add_element_forces(model.elements, state.u, state.force)
     cut_j = add_cut_forces(model.cut_elements, state.u, state.force)
     if not smallest_j <= cut_j and smallest_j == smallest_j:
@@ -84,6 +85,14 @@ def evaluate_elements(model: Model, state: State) -> int:
     if smallest_j > 0.0:
         return DONE
     return INVERTED if smallest_j <= 0.0 else NOT_FINITE
+
+
+@njit(cache=True, error_model="numpy")
+def find_candidates(model: Model, state: State, search: Search) -> Candidates:
+    """Candidate lists at the current displacement; points outside them are open."""
+    for g in range(len(state.gap)):
+        state.gap[g] = OPEN
+    return build_candidates(model.contact, search, model.x, state.u)
 
 
 @njit(cache=True, error_model="numpy")
@@ -105,7 +114,8 @@ def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None
 def move(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
     """Velocities over the interval ``kick``, reactions and their work, then displacements over the step."""
     u, v, a = state.u, state.v, state.a
-    state.reaction[:] = 0.0
+    for c in range(len(state.reaction)):
+        state.reaction[c] = 0.0
     work = 0.0
     for i in range(len(model.mass)):
         for d in range(2):
@@ -146,9 +156,8 @@ def advance(model: Model, state: State, search: Search, dt: float, increments: F
     int
         ``DONE``, ``INVERTED`` (some J <= 0) or ``NOT_FINITE``.
     """
-    candidates = build_candidates(model.contact, search, model.x, state.u)
+    candidates = find_candidates(model, state, search)
     if len(increments) == 0:
-        state.gap[:] = OPEN
         status = evaluate_elements(model, state)
         evaluate_contact(model, state, candidates)
         return status
@@ -161,7 +170,6 @@ def advance(model: Model, state: State, search: Search, dt: float, increments: F
         if status != DONE:
             return status
         if outdated(search, candidates, state.u):
-            candidates = build_candidates(model.contact, search, model.x, state.u)
-            state.gap[:] = OPEN
+            candidates = find_candidates(model, state, search)
         evaluate_contact(model, state, candidates)
     return DONE

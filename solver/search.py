@@ -41,10 +41,10 @@ class Search(NamedTuple):
 class Candidates(NamedTuple):
     """Candidate lists, and where the nodes were when they were built.
 
-    near: the slave points that have candidates, ascending; pair k has near_first[k] .. near_first[k + 1];
-    first, segments: the candidates of near[i] are segments[first[i]] .. segments[first[i + 1]], ascending;
-    built_slave, built_master: the displacement of search.slave_nodes and search.master_nodes at
-    that time, m.
+    near: the slave points that have candidates, ascending; pair k has near_first[k] .. near_first[k + 1], and
+    what follows the last pair is unused; first, segments: the candidates of near[i] are segments[first[i]] ..
+    segments[first[i + 1]], ascending; built_slave, built_master: the displacement of search.slave_nodes and
+    search.master_nodes at that time, m.
     """
 
     near: Ints
@@ -180,10 +180,11 @@ def fill_bins(
                     else:
                         first[b + 1] += 1
         if not fill:
-            first = np.cumsum(first)
-            members = np.empty(first[-1], dtype=np.int64)
-    # Filling moved every start to its end: move them back by one bin.
-    first[1:] = first[:-1].copy()
+            for b in range(columns * rows):
+                first[b + 1] += first[b]
+            members = np.empty(first[columns * rows], dtype=np.int64)
+    for b in range(columns * rows, 0, -1):  # filling moved every start to its end
+        first[b] = first[b - 1]
     first[0] = 0
     return first, members
 
@@ -194,8 +195,18 @@ def grown(values: Ints, needed: int) -> Ints:
     if needed <= len(values):
         return values
     larger = np.empty(max(needed, 2 * len(values)), dtype=np.int64)
-    larger[: len(values)] = values
+    for i in range(len(values)):
+        larger[i] = values[i]
     return larger
+
+
+@njit(cache=True, error_model="numpy")
+def rows_of(values: Floats, rows: Ints) -> Floats:
+    """(k, 2) Copy of the rows with these numbers."""
+    chosen = np.empty((len(rows), 2))
+    for i in range(len(rows)):
+        chosen[i, 0], chosen[i, 1] = values[rows[i], 0], values[rows[i], 1]
+    return chosen
 
 
 @njit(cache=True, error_model="numpy")
@@ -231,11 +242,5 @@ def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> 
                     count += 1
                     first[count] = filled
         near_first[k + 1] = count
-    return Candidates(
-        near[:count].copy(),
-        near_first,
-        first[: count + 1].copy(),
-        segments[:filled].copy(),
-        u[search.slave_nodes],
-        u[search.master_nodes],
-    )
+    built_slave, built_master = rows_of(u, search.slave_nodes), rows_of(u, search.master_nodes)
+    return Candidates(near, near_first, first, segments, built_slave, built_master)
