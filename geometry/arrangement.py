@@ -95,7 +95,9 @@ class Arrangement:
         """(h,) The face on the left of each half-edge."""
         face = np.empty(self.half_edges, dtype=np.int64)
         lengths = [len(cycle) for cycle in self.cycles]
-        face[np.concatenate([np.asarray(c) for c in self.cycles])] = np.repeat(np.arange(len(lengths)), lengths)
+        face[np.concatenate([np.asarray(c) for c in self.cycles])] = np.repeat(
+            np.arange(len(lengths)), lengths
+        )
         return face
 
     @cached_property

@@ -167,7 +167,10 @@ def cut(
 def _band(corners: Ints, chains: Chains) -> Bools:
     """(cells,) Which cells come near a barrier: their bounding boxes touch, with a margin for rounding."""
     margin = 4.0
-    low, high = np.minimum(chains.starts, chains.ends) - margin, np.maximum(chains.starts, chains.ends) + margin
+    low, high = (
+        np.minimum(chains.starts, chains.ends) - margin,
+        np.maximum(chains.starts, chains.ends) + margin,
+    )
     tree = shapely.STRtree(shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1]))
     least, most = corners.min(axis=1), corners.max(axis=1)
     hit, _ = tree.query(shapely.box(least[:, 0], least[:, 1], most[:, 0], most[:, 1]))
@@ -272,7 +275,9 @@ def _cell_of_faces(arrangement: Arrangement, tags: _Tags, edges: CellEdges, band
         seen = cell_of_group[group[face]]
         cell_of_group[group[face]] = cell
         if np.any((seen != -2) & (seen != cell)) or np.any(cell_of_group[group[face]] != cell):
-            raise GeometryError("a grid cell folds over itself: the background grid is too distorted to be cut")
+            raise GeometryError(
+                "a grid cell folds over itself: the background grid is too distorted to be cut"
+            )
     return np.asarray(np.maximum(cell_of_group, -1)[group])
 
 

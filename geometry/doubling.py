@@ -140,7 +140,7 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
     grid_node = grid_of_root[order]
     xy = fragments.lattice.position(fragments.nodes)
     unit_area = 0.5 * float(np.prod(fragments.lattice.unit))
-    area = fragments.doubled_area * unit_area
+    area: Floats = np.asarray(fragments.doubled_area * unit_area, dtype=np.float64)
     triangles, triangle_element = _triangles(fragments)
     corners = fragments.nodes[quads]
     cell_area = cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) * unit_area
@@ -190,7 +190,7 @@ def _real(fragments: Fragments, quads: Ints, elements: Ints, nodes: int) -> Bool
     points = {tuple(p): k for k, p in enumerate(fragments.nodes[np.unique(quads)].tolist())}
     of_vertex = np.array([points.get(tuple(p), -1) for p in fragments.arrangement.vertices.tolist()])
     grid_node = np.unique(quads)
-    half = np.flatnonzero((fragments.of_face[fragments.arrangement.face] >= 0))
+    half = np.flatnonzero(fragments.of_face[fragments.arrangement.face] >= 0)
     vertex = of_vertex[fragments.arrangement.origin[half]]
     element, node = fragments.of_face[fragments.arrangement.face[half[vertex >= 0]]], vertex[vertex >= 0]
     match = quads[element] == grid_node[node][:, None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from phantomnode.solver.q4 import one_point_elements
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Number = TypeVar("Number", bound=np.generic)
 
 POINTS_PER_SEGMENT = 2
 """Gauss points on each slave segment (paper, section 4.1)."""
@@ -119,7 +121,9 @@ def pair_surfaces(
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     other = bodies[master.body].mesh
     same = slave.body == master.body
-    closed = closed_surface(other.segments, master.segments, slave.segments if same else np.zeros(0, dtype=int))
+    closed = closed_surface(
+        other.segments, master.segments, slave.segments if same else np.zeros(0, dtype=int)
+    )
     number = np.full(len(other.segments.ends) + 1, -1)  # the last stands for "no neighbour"
     number[closed] = np.arange(len(closed))
     following = number[other.segments.following[closed]]
@@ -150,7 +154,7 @@ def joined_contact(pairs: list[PairSurfaces], penalty: Floats, reach: Floats) ->
     reach : (k,) float64, metres
     """
 
-    def stacked(name: str, empty: Floats | Ints) -> NDArray[np.generic]:
+    def stacked(name: str, empty: NDArray[Number]) -> NDArray[Number]:
         return np.ascontiguousarray(np.concatenate([empty, *(getattr(pair, name) for pair in pairs)]))
 
     slave_first = np.cumsum([0, *(len(pair.weight) for pair in pairs)])

@@ -114,7 +114,9 @@ def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tu
         names = sorted({region.name for region in source.regions if region.name})
         chosen = tuple(region for region in source.regions if region.name == geometry.region)
         if not chosen:
-            raise GeometryError(f"no region is named {geometry.region!r}; there are: {', '.join(names) or 'none'}")
+            raise GeometryError(
+                f"no region is named {geometry.region!r}; there are: {', '.join(names) or 'none'}"
+            )
         source = Geometry(chosen, source.curves, source.notes)
     elif isinstance(geometry, BodyGeometry) and geometry.file is not None and source.curves:
         note = f"{len(source.curves)} curves of {geometry.file} are no part of an outline and are left out"
@@ -162,7 +164,9 @@ def _graph(function: str, span: tuple[float, float] | None, regions: tuple[Regio
     """The curve y = f(x) over a span, by default the width of the body."""
     if span is None:
         if not regions:
-            raise GeometryError("x = [first, last] must be given: there is no body whose width could be taken")
+            raise GeometryError(
+                "x = [first, last] must be given: there is no body whose width could be taken"
+            )
         boxes = np.array([region.box for region in regions])
         span = (float(boxes[:, 0, 0].min()), float(boxes[:, 1, 0].max()))
     return shapes.graph(parse(function, "x"), span[0], span[1], CHORD_ERROR * (span[1] - span[0]))
@@ -176,10 +180,12 @@ def _grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
         low, high = grid.box or (boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))
         return grids.cartesian(low, high, cell=grid.spacing, counts=grid.counts, aligned=grid.aligned)
     if isinstance(grid, PolarGrid):
-        return grids.polar(grid.centre, grid.radii, grid.angles, grid.counts)
+        return grids.polar(grid.centre, radii=grid.radii, angles=grid.angles, counts=grid.counts)
     if isinstance(grid, MappedGrid):
-        sides = [_one_curve(case, side) for side in (grid.bottom, grid.right, grid.top, grid.left)]
-        return grids.mapped(*sides, grid.counts)
+        bottom, right, top, left = (
+            _one_curve(case, side) for side in (grid.bottom, grid.right, grid.top, grid.left)
+        )
+        return grids.mapped(bottom, right, top, left, grid.counts)
     assert isinstance(grid, FileGrid)
     return read_quads(case.path(grid.file), grid.unit)
 

@@ -39,11 +39,10 @@ class Channel:
         Displacements are met exactly at every step; velocities are taken at mid-step; accelerations are
         summed as the central difference scheme does (half a kick at t = 0).
         """
-        step = np.arange(first_step, first_step + steps)
         if self.kind == "displacement":
-            return np.diff(self.value(np.arange(first_step, first_step + steps + 1) * dt))
+            return np.diff(self.value(_times(first_step, first_step + steps + 1, dt)))
         if self.kind == "velocity":
-            return self.value((step + 0.5) * dt) * dt
+            return self.value(_times(first_step + 0.5, first_step + steps, dt)) * dt
         return self._from_acceleration(first_step, steps, dt)
 
     def _from_acceleration(self, first_step: int, steps: int, dt: float) -> Floats:
@@ -51,7 +50,7 @@ class Channel:
         done, velocity = self._reached
         if done > first_step or done == 0:
             done, velocity = 0, self.initial_velocity
-        kicks = self.value(np.arange(done, first_step + steps) * dt) * dt
+        kicks = self.value(_times(done, first_step + steps, dt)) * dt
         if done == 0:
             kicks[0] *= 0.5
         velocities = np.cumsum(np.concatenate([[velocity], kicks]))[1:]
@@ -69,3 +68,8 @@ class PrescribedMotion:
         """(steps, channels) Displacement increments, m."""
         columns = [channel.increments(first_step, steps, dt) for channel in self.channels]
         return np.column_stack(columns) if columns else np.zeros((steps, 0))
+
+
+def _times(first: float, last: float, dt: float) -> Floats:
+    """(n,) Times of the steps first, first + 1, ... below last, s."""
+    return np.asarray(np.arange(first, last) * dt, dtype=np.float64)

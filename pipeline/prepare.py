@@ -278,7 +278,7 @@ def _boundaries(
     offset = {body.name: body.nodes.start for body in bodies}
     channel = np.full((bodies[-1].nodes.stop, 2), -1, dtype=np.int64)
     channels: list[Channel] = []
-    boundaries = []
+    boundaries: list[Boundary] = []
     for name, table in case.boundary.items():
         owner, nodes = _held_nodes(table, cut, f"boundary.{name}.on")
         nodes = nodes + offset[owner]
@@ -360,11 +360,13 @@ def _check_overlap(
             depth = np.maximum(depth, LevelSet.of_regions(cut[master.body].regions).distance(points))
         worst = int(np.argmax(depth))
         if depth[worst] > OVERLAP * cut[slave.body].grid.cell_size:
-            x, y = cut[slave.body].mesh.segments.ends[slave.segments][worst // POINTS_PER_SEGMENT].mean(axis=0)
+            x, y = (
+                cut[slave.body].mesh.segments.ends[slave.segments][worst // POINTS_PER_SEGMENT].mean(axis=0)
+            )
             raise CaseError(
                 f"contact.{name}: {case.contact[name].slave} and {case.contact[name].master} overlap at the start "
                 f"by {depth[worst]:.3g} m near ({x:.6g}, {y:.6g}) m: move one of the bodies (geometry move = "
-                "[dx, dy]), or measure gaps from this state (overlap = \"offset\")"
+                '[dx, dy]), or measure gaps from this state (overlap = "offset")'
             )
 
 
@@ -375,7 +377,7 @@ def _step(case: Case, estimate: StepEstimate) -> float:
     if wanted > limit and not case.time.force:
         raise CaseError(
             f"time.step: {wanted:g} s is unstable; the stable step is {limit:.4g} s (elements "
-            f"{2.0 / estimate.element_frequency:.4g} s, contact closed). Take step = \"auto\" or at most "
+            f'{2.0 / estimate.element_frequency:.4g} s, contact closed). Take step = "auto" or at most '
             f"{estimate.dt:.4g}, or force = true to run all the same"
         )
     return case.time.end / math.ceil(case.time.end / wanted * (1.0 - 1e-12))

@@ -17,6 +17,8 @@ from phantomnode.pipeline.errors import CaseError
 
 Ints = NDArray[np.int64]
 
+SIDES_OF_INTERFACE: tuple[str, ...] = ("plus", "minus")
+
 ON_EDGE = 1e-5
 """Local coordinates this near to +-1 are on the edge of a cell: the lattice rounds them to 1e-6."""
 
@@ -54,7 +56,7 @@ def surface(place: str, bodies: dict[str, CutBody], key: str) -> Surface:
         Where the part does not exist, with those that do, or where nothing of it is left after cutting.
     """
     owner, _, what = place.partition(".")
-    body_name, known = owner, ("plus", "minus")
+    body_name, known = owner, SIDES_OF_INTERFACE
     if owner in bodies:
         body = bodies[owner]
         known = part_names(body.regions)

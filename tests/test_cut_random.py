@@ -116,9 +116,13 @@ def zero_energy_modes(grid: BackgroundGrid, mesh: CutMesh) -> int:
     element = np.concatenate([np.repeat(whole, 4), np.repeat(mesh.triangle_element, 3)])
     thirds = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0
     inside = np.einsum("pk,tka->tpa", thirds, mesh.triangles).reshape(-1, 2)
-    local = np.vstack([np.tile(gauss, (len(whole), 1)), to_local(np.repeat(corners[mesh.triangle_element], 3, 0), inside)])
+    local = np.vstack(
+        [np.tile(gauss, (len(whole), 1)), to_local(np.repeat(corners[mesh.triangle_element], 3, 0), inside)]
+    )
     d1, d2 = mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0]
-    weight = np.concatenate([np.repeat(mesh.area[whole] / 4, 4), np.repeat((d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) / 6, 3)])
+    weight = np.concatenate(
+        [np.repeat(mesh.area[whole] / 4, 4), np.repeat((d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]) / 6, 3)]
+    )
     g = gradients(corners[element], local)
     b = np.zeros((len(element), 3, 8))
     b[:, 0, 0::2], b[:, 1, 1::2] = g[..., 0], g[..., 1]
