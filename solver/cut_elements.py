@@ -61,7 +61,6 @@ def fragment_elements(
     return CutElements(
         nodes=np.ascontiguousarray(nodes, dtype=np.int64).reshape(c, 4),
         first=first,
-        owner=np.repeat(np.arange(c), np.diff(first)),
         gradient=np.ascontiguousarray(gradient, dtype=np.float64).reshape(-1, 4, 2),
         weight=weight,
         lame=each(lame),
@@ -71,22 +70,34 @@ def fragment_elements(
 
 
 @njit(cache=True, error_model="numpy")
+def owner(first: Ints, point: int, before: int) -> int:
+    """The element of an integration point, at or after the element ``before``."""
+    while point >= first[before + 1]:
+        before += 1
+    return before
+
+
+@njit(cache=True, error_model="numpy")
 def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
     """Add the internal forces of the cut elements to (n, 2) force, N/m; return the smallest J or NaN."""
     smallest, lost = math.inf, False
     block, total = np.zeros(ROOM), len(cut.weight)
+    reading, writing = 0, 0  # elements that own the points
     for start in range(0, total, BLOCK):
         count = min(BLOCK, total - start)
         for k in range(count):
-            e, w = cut.owner[start + k], cut.weight[start + k]
-            gather(block, k, cut.nodes[e], cut.gradient[start + k], w * cut.lame[e], w * cut.shear[e], u)
+            p = start + k
+            reading = owner(cut.first, p, reading)
+            lame, shear = cut.weight[p] * cut.lame[reading], cut.weight[p] * cut.shear[reading]
+            gather(block, k, cut.nodes[reading], cut.gradient[p], lame, shear, u)
         stress_block(block, count)
         for k in range(count):
-            e, j = cut.owner[start + k], block[J + k]
+            p, j = start + k, block[J + k]
+            writing = owner(cut.first, p, writing)
             p11, p12, p21, p22 = stress_of(block, k)
             smallest, lost = min(smallest, j), lost or not j < math.inf
             for i in range(4):
-                n, gx, gy = cut.nodes[e, i], cut.gradient[start + k, i, 0], cut.gradient[start + k, i, 1]
+                n, gx, gy = cut.nodes[writing, i], cut.gradient[p, i, 0], cut.gradient[p, i, 1]
                 force[n, 0] -= p11 * gx + p12 * gy
                 force[n, 1] -= p21 * gx + p22 * gy
     return math.nan if lost else smallest

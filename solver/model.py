@@ -35,14 +35,12 @@ class Elements(NamedTuple):
 class CutElements(NamedTuple):
     """Cut elements: integration points on the triangles of the fragment.
 
-    nodes (c, 4); first (c + 1,) first point of each element in the lists of points;
-    owner (p,) element of each point; gradient (p, 4, 2) of N_I
+    nodes (c, 4); first (c + 1,) first point of each element in the lists of points; gradient (p, 4, 2) of N_I
     at each point, 1/m; weight (p,), m^2; lame (c,), shear (c,), Pa; mass (c,), kg/m.
     """
 
     nodes: Ints
     first: Ints
-    owner: Ints
     gradient: Floats
     weight: Floats
     lame: Floats
