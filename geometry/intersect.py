@@ -203,7 +203,8 @@ def _along(curve: Curve, piece: Ints, u: Floats, v: Floats, slack: Floats) -> tu
     flat = b == 0.0
     safe = np.where(flat, 1.0, h)
     bent = np.arctan2(ra * np.abs(np.sin(safe)), rb + ra * np.cos(safe)) / np.abs(safe)
-    return on, np.clip(np.where(flat, ra / (ra + rb), bent), 0.0, 1.0)
+    s = np.clip(np.where(flat, ra / (ra + rb), bent), 0.0, 1.0)
+    return on, np.where(ra <= slack, 0.0, np.where(rb <= slack, 1.0, s))
 
 
 def _box_pairs(first: Curve, second: Curve, slack: float) -> tuple[Ints, Ints]:

@@ -43,7 +43,7 @@ class Relocation:
     moved : (n,) bool
         Whether each node has left its place (by more than 1e-9 h: rounding is mended without notice).
     on_curve : (n,) int64
-        The curve on which each node now lies (one of them at a common point), -1 if none.
+        The curve on which each node now lies (the first of several), -1 if none.
     feature : (n,) bool
         Whether it lies on a feature point: a sharp corner, a free end, a point common to two curves.
     """
@@ -115,24 +115,25 @@ def relocate(grid: BackgroundGrid, curves: Sequence[Curve], distance: float = 0.
 
 
 def feature_points(curves: Sequence[Curve]) -> tuple[Floats, Ints]:
-    """((k, 2), (k,)) Sharp corners, free ends and common points of curves, each once, and a curve of each."""
-    points, owner = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
-    for k, curve in enumerate(curves):
+    """((k, 2), (k,)) Sharp corners, free ends, common points of curves, each once; the first curve there."""
+    points = [np.zeros((0, 2))]
+    for curve in curves:
         corners = curve.points[:-1][curve.corners[:-1]] if curve.closed else curve.points[curve.corners]
         points.append(corners)
-        owner.append(np.full(len(corners), k))
     for k, curve in enumerate(curves):
         for other in curves[k + 1 :]:
             if np.all(curve.box[0] <= other.box[1]) and np.all(other.box[0] <= curve.box[1]):
-                common = intersections(curve, other)
-                points.append(common)
-                owner.append(np.full(len(common), k))
-    every, owners = np.vstack(points), np.concatenate(owner)
+                points.append(intersections(curve, other))
+    every = np.vstack(points)
     if len(every) == 0:
-        return every, owners
+        return every, np.zeros(0, np.int64)
     size = max(float(np.ptp(curve.box, axis=0).max()) for curve in curves)
-    keep = distinct(every, ON_CURVE * size)  # corners come first and are exact
-    return every[keep], owners[keep]
+    every = every[distinct(every, ON_CURVE * size)]  # corners come first and are exact
+    owner = np.full(len(every), -1)
+    for k, curve in enumerate(curves):
+        here = np.abs(LevelSet.of_curve(curve).distance(every)) <= ON_CURVE * size
+        owner[here & (owner < 0)] = k
+    return every, owner
 
 
 def _nearness(grid: BackgroundGrid, curves: Sequence[Curve], h: Floats, distance: float) -> _Nearness:
