@@ -212,8 +212,8 @@ def _broken(model: Model, state: State, last: Frame) -> RunStopped:
         [element_stress(model.elements, state.u)[2], cut_stress(model.cut_elements, state.u)[2]]
     )
     worst = int(np.argmin(np.where(np.isfinite(j), j, -np.inf)))
-    m = len(model.elements.volume)
-    element = worst if worst < m else m + int(model.cut_elements.owner[worst - m])
+    m, first = len(model.elements.volume), model.cut_elements.first
+    element = worst if worst < m else m + int(np.searchsorted(first, worst - m, side="right")) - 1
     nodes = np.concatenate([model.elements.nodes, model.cut_elements.nodes])[element]
     x, y = model.x[nodes].mean(axis=0)
     kind = "inverted" if np.isfinite(j[worst]) else "no longer finite"

@@ -108,11 +108,11 @@ def _cut_eigenvalue(cut: CutElements) -> tuple[float, int]:
     """Largest eigenvalue of a cut element with its own mass, 1/s^2, and its number among the cut ones."""
     if len(cut.lame) == 0:
         return 0.0, 0
-    at_points = (
-        _strain_stiffness(cut.gradient, cut.lame[cut.owner], cut.shear[cut.owner]) * cut.weight[:, None, None]
-    )
+    owner = np.repeat(np.arange(len(cut.lame)), np.diff(cut.first))
+    at_points = _strain_stiffness(cut.gradient, cut.lame[owner], cut.shear[owner])
+    at_points *= cut.weight[:, None, None]
     stiffness = np.zeros((len(cut.lame), 8, 8))
-    np.add.at(stiffness, cut.owner, at_points)
+    np.add.at(stiffness, owner, at_points)
     largest = np.linalg.eigvalsh(stiffness / (0.25 * cut.mass)[:, None, None])[:, -1]
     return float(np.max(largest)), int(np.argmax(largest))
 
