@@ -27,7 +27,7 @@ RECOGNISED = 1e-3
 recognition is never worse than flattening."""
 
 MOST_VERTICES = 200_000
-"""Vertices of one flattened curve beyond which something is wrong with it (a jump, a pole)."""
+"""Vertices of one flattened curve beyond which something is wrong with it."""
 
 
 def trace(evaluate: Evaluate, breaks: Floats, chord_error: float) -> tuple[Floats, Floats]:
@@ -45,12 +45,8 @@ def trace(evaluate: Evaluate, breaks: Floats, chord_error: float) -> tuple[Float
     -------
     (n + 1, 2) points and (n,) bulges
     """
-    parameter = np.unique(
-        np.concatenate([np.linspace(a, b, 17) for a, b in zip(breaks, breaks[1:], strict=False)])
-    )
-    samples = evaluate(parameter)
-    if not np.all(np.isfinite(samples)):
-        raise GeometryError(f"a curve is not finite near its parameter {_first_bad(parameter, samples):g}")
+    evaluate = _finite(evaluate)
+    samples = evaluate(_starting(breaks))
     tolerance = RECOGNISED * chord_error
     if _is_line(samples, tolerance):
         return samples[[0, -1]], np.zeros(1)
@@ -63,36 +59,51 @@ def flatten(evaluate: Evaluate, breaks: Floats, chord_error: float) -> Floats:
 
     Every interval of the parameter is halved until the curve at its quarters lies within the chord error of the
     chord. Sixteen intervals between any two breaks to begin with keep a wave from hiding between the quarters.
+    A jump becomes a steep line.
     """
-    ends = np.unique(
-        np.concatenate([np.linspace(a, b, 17) for a, b in zip(breaks, breaks[1:], strict=False)])
-    )
+    evaluate = _finite(evaluate)
+    ends = _starting(breaks)
     accepted = [ends[:1], ends[-1:]]
     left, right = ends[:-1], ends[1:]
     smallest = 1e-12 * (ends[-1] - ends[0])
     while len(left):
         deviation = _deviation(evaluate, left, right)
-        if not np.all(np.isfinite(deviation)):
-            raise GeometryError(
-                f"a curve is not finite near its parameter {_first_bad(left, deviation[:, None]):g}"
-            )
         split = (deviation > chord_error) & (right - left > smallest)
         accepted.append(right[~split])
         middle = 0.5 * (left + right)[split]
         left, right = np.concatenate([left[split], middle]), np.concatenate([middle, right[split]])
         if len(left) > MOST_VERTICES:
             raise GeometryError(
-                f"a curve needs more than {MOST_VERTICES} lines to keep within {chord_error:.1e}: it jumps or has a "
-                "pole, or the chord error is too small"
+                f"a curve needs more than {MOST_VERTICES} lines to keep within {chord_error:.1e}: is it finite "
+                "everywhere, and the chord error not too small?"
             )
     return evaluate(np.unique(np.concatenate(accepted)))
+
+
+def _starting(breaks: Floats) -> Floats:
+    """Sixteen intervals between any two breaks."""
+    parts = [np.linspace(a, b, 17) for a, b in zip(breaks, breaks[1:], strict=False)]
+    return np.asarray(np.unique(np.concatenate(parts)))
+
+
+def _finite(evaluate: Evaluate) -> Evaluate:
+    """The same function, refusing points that are not finite."""
+
+    def checked(parameter: Floats) -> Floats:
+        points = evaluate(parameter)
+        bad = ~np.all(np.isfinite(points), axis=1)
+        if np.any(bad):
+            raise GeometryError(f"a curve is not finite near its parameter {parameter[bad][0]:g}")
+        return points
+
+    return checked
 
 
 def _deviation(evaluate: Evaluate, left: Floats, right: Floats) -> Floats:
     """(k,) Distance from the chord of the curve at the quarters of (k,) intervals; the largest of the three."""
     quarters = np.array([0.25, 0.5, 0.75])
-    inner = evaluate((left[:, None] + quarters * (right - left)[:, None]).ravel()).reshape(-1, 3, 2)
     a, b = evaluate(left)[:, None], evaluate(right)[:, None]
+    inner = evaluate((left[:, None] + quarters * (right - left)[:, None]).ravel()).reshape(-1, 3, 2)
     chord = b - a
     square = np.sum(chord**2, axis=-1)
     along = np.sum((inner - a) * chord, axis=-1) / np.where(square > 0.0, square, 1.0)
@@ -166,8 +177,3 @@ def _circumcentre(a: Floats, b: Floats, c: Floats) -> Floats | None:
         return None
     uu, vv = u @ u, v @ v
     return np.asarray(a + np.array([v[1] * uu - u[1] * vv, u[0] * vv - v[0] * uu]) / (2.0 * cross))
-
-
-def _first_bad(parameter: Floats, values: Floats) -> float:
-    """The first parameter at which a value is not finite."""
-    return float(parameter[~np.all(np.isfinite(values), axis=1)][0])

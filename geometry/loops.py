@@ -130,8 +130,10 @@ def _check_pair(first: Curve, second: Curve, a: object, b: object) -> None:
     # Where arcs touch, their polygons may overlap by as much as they differ from the arcs.
     slack = 2.0 * CHORD_ERROR * (inside.length + outside.length) * diagonal([first, second])
     apart = common <= slack or min(inside.area, outside.area) - common <= slack
-    if shapely.intersection(a, b).length > 0.0 or not apart:
-        where = shapely.get_coordinates(shapely.intersection(a, b))[0]
+    # Polygons of arcs that touch may have a side in common, about sqrt(8 R CHORD_ERROR) long.
+    shared = shapely.intersection(a, b)
+    if shared.length > 4.0 * CHORD_ERROR**0.5 * diagonal([first, second]) or not apart:
+        where = shapely.get_coordinates(shared)[0]
         raise GeometryError(
             f"{_called(first)} and {_called(second)} cross or share a stretch at ({where[0]:g}, {where[1]:g}) m; outlines must not"
         )

@@ -107,7 +107,7 @@ def graph(function: Callable[[Floats], Floats], x0: float, x1: float, chord_erro
     Raises
     ------
     GeometryError
-        Unless x0 < x1 and the chord error is positive, or where the function is not finite or jumps.
+        Unless x0 < x1 and the chord error is positive, or where the function is not finite.
     """
     if not (np.isfinite([x0, x1]).all() and x0 < x1):
         raise GeometryError(f"the graph of a function needs x0 < x1; got x0 = {x0:g}, x1 = {x1:g}")
