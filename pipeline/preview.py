@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
 
 BODY_COLOURS = ("#8fb3d9", "#e3b57a", "#9cc7a0", "#c9a3cf", "#d99a96", "#b5b5b5")
-SLAVE, MASTER, PHANTOM, HELD = "#c0392b", "#1f4e9e", "#7d3c98", "#111111"
+CUT, SLAVE, MASTER, PHANTOM, HELD = "#f2c14e", "#c0392b", "#1f4e9e", "#7d3c98", "#111111"
 Quantity = Literal["von_mises", "J"]
 
 
@@ -53,17 +53,20 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
     points = clipped.interpolate(prepared.model.x)
     tint = np.array([BODY_COLOURS[k % len(BODY_COLOURS)] for k in clipped.body])
     uncut = len(clipped.quads)
-    _fill(axes, points[clipped.quads], color=tint[:uncut], alpha=0.45)
-    _fill(axes, points[clipped.triangles], color=tint[uncut:], alpha=0.95)
+    _fill(axes, points[clipped.quads], facecolor=tint[:uncut], edgecolor="white", alpha=0.5)
+    _fill(axes, points[clipped.triangles], facecolor=CUT, edgecolor=CUT)
     for body in prepared.bodies:
         _draw_body(axes, body)
     _draw_contact(axes, prepared)
     held = np.unique(np.concatenate([np.zeros(0, np.int64), *(b.nodes for b in prepared.boundaries)]))
     size = _marker_size(figure, prepared)
-    axes.plot(*prepared.model.x[held].T, "s", color=HELD, ms=size, mew=0, label=f"held ({len(held)} nodes)")
+    _marks(axes, prepared.model.x[held], "s", HELD, max(size, 2.5), f"held ({len(held)} nodes)")
     phantom = np.concatenate([body.mesh.xy[~body.mesh.real] for body in prepared.bodies])
-    axes.plot(*phantom.T, "x", color=PHANTOM, ms=size, mew=0.5, label=f"phantom nodes ({len(phantom)})")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.06), ncols=4, fontsize=8, frameon=False)
+    _marks(axes, phantom, "o", PHANTOM, size, f"phantom nodes ({len(phantom)})")
+    legend = figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    for handle in legend.legend_handles:
+        if handle is not None and hasattr(handle, "set_markersize"):
+            handle.set_markersize(5.0)
     axes.set_title(prepared.case.title or prepared.case.name, fontsize=10)
     _save(figure, path)
 
@@ -95,7 +98,7 @@ def draw_result(prepared: Prepared, frame: Frame, path: Path, quantity: Quantity
         (points[clipped.quads], values[:uncut]),
         (points[clipped.triangles], values[uncut:]),
     ):
-        painted = _fill(axes, shapes, array=part, cmap="turbo", clim=(low, high))
+        painted = _fill(axes, shapes, array=part, cmap="turbo", clim=(low, high), edgecolor="face")
     edges = clipped.outline()
     _lines(axes, reference[edges], color="0.65", linewidths=0.6, linestyles="--")
     _lines(axes, points[edges], color="black", linewidths=0.6)
@@ -152,18 +155,18 @@ def _drawable(curve: Curve) -> Floats:
 
 
 def _fill(axes: Axes, polygons: Floats, **style: Any) -> Any:
-    """Filled polygons, (m, k, 2), without seams between neighbours."""
+    """Filled polygons, (m, k, 2); thin edges of their own colour close the seams between them."""
     from matplotlib.collections import PolyCollection
 
-    if "color" in style:
-        style["facecolor"] = style.pop("color")
-        style["edgecolor"] = "white"
-    else:
-        style["edgecolor"] = "face"
-    collection = PolyCollection(list(polygons), linewidths=0.15, **style)
+    collection = PolyCollection(list(polygons), linewidths=0.3, **style)
     axes.add_collection(collection)
     axes.autoscale_view()
     return collection
+
+
+def _marks(axes: Axes, points: Floats, marker: str, colour: str, size: float, label: str) -> None:
+    """Marks on (k, 2) points."""
+    axes.plot(*points.T, marker, color=colour, ms=size, mew=0, label=label, zorder=4)
 
 
 def _lines(axes: Axes, lines: Floats, **style: Any) -> None:
@@ -179,7 +182,7 @@ def _marker_size(figure: Figure, prepared: Prepared) -> float:
     cell = min(body.grid.cell_size for body in prepared.bodies)
     boxes = np.array([region.box for body in prepared.bodies for region in body.regions])
     width = float(np.ptp(boxes[..., 0]))
-    return float(np.clip(0.2 * 72.0 * 8.0 * cell / width, 0.8, 4.0))
+    return float(np.clip(0.2 * 72.0 * 8.0 * cell / width, 1.2, 4.0))
 
 
 def _save(figure: Figure, path: Path) -> None:
@@ -187,5 +190,5 @@ def _save(figure: Figure, path: Path) -> None:
     from io import BytesIO
 
     content = BytesIO()
-    figure.savefig(content, format="png")
+    figure.savefig(content, format="png", bbox_inches="tight")
     write_atomically(path, content.getvalue())

@@ -26,8 +26,9 @@ MOMENTUM_ERROR = 1e-3
 """Contact forces are opposite to rounding, so that the impulse misses m dv only by the last half step."""
 SMALLEST_J = 0.1
 """An element at a tenth of its area is about to invert, and stands for no material."""
-PENETRATION = 0.1
-"""Of the cell size: deeper, the penalty shows in the shape of the contact, and a point may soon get lost."""
+PENETRATION = 0.25
+"""Of the cell size: penalties of 1..10 E/h, which are sound, give less up to pressures of E/4, and the search
+follows a point as deep as one cell."""
 HOURGLASS = 0.1
 """Of the largest internal energy: the usual limit for one-point elements."""
 
@@ -130,6 +131,7 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
         "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
         "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},
         "contact_phases": {name: tally.phases(k) for k, name in pairs},
+        "contact_touches": {name: tally.touches(k) for k, name in pairs},
         "largest_penetration": {name: float(tally.penetration[k]) for k, name in pairs},
         "momentum": {
             name: {"start": m.start, "end": m.end, "impulse": m.impulse, "error": m.error}

@@ -18,7 +18,7 @@ REST = 1e-9
 
 
 class Phase(NamedTuple):
-    """A time in which a pair was in contact, seen at the samples: first and last one with a force, s."""
+    """A time in which a pair was in contact: the first and the last sample with a force, s."""
 
     start: float
     end: float
@@ -79,7 +79,21 @@ class Tally:
             self.frame(ending.frame)
 
     def phases(self, pair: int) -> list[Phase]:
-        """The contact phases of a pair, in order; a break shorter than the samples' distance is not seen."""
+        """The contact phases of a pair, in order.
+
+        Breaks that are over before a wave has crossed the slave's body (:func:`crossing_time`) are chatter of
+        one phase: the body as a whole has not let go yet.
+        """
+        phases: list[Phase] = []
+        shortest = crossing_time(self._prepared, pair_bodies(self._prepared, pair)[0])
+        for touch in self.touches(pair):
+            if phases and touch.start - phases[-1].end < shortest:
+                touch = Phase(phases.pop().start, touch.end)
+            phases.append(touch)
+        return phases
+
+    def touches(self, pair: int) -> list[Phase]:
+        """Every time in which a pair bore a force, in order, as far as the samples show."""
         if not self._times:
             return []
         touching = np.array([sample[pair] for sample in self._touching])
@@ -120,6 +134,19 @@ def pair_bodies(prepared: Prepared, pair: int) -> tuple[Body, Body]:
     slave = contact.slave_nodes[contact.slave_first[pair], 0]
     master = contact.master_nodes[contact.master_first[pair], 0]
     return body_of_node(prepared, int(slave)), body_of_node(prepared, int(master))
+
+
+def crossing_time(prepared: Prepared, body: Body) -> float:
+    """Time that a wave, c_d^2 = (lambda + 2 mu)/rho, takes along the longer side of a body, s."""
+    model = prepared.model
+    uncut, cut = model.elements, model.cut_elements
+    moduli = (
+        (uncut.lame + 2.0 * uncut.shear)[body.elements],
+        (cut.lame + 2.0 * cut.shear)[body.cut_elements],
+    )
+    modulus = np.max(np.concatenate(moduli))
+    boxes = np.array([region.box for region in body.regions])
+    return float(np.max(np.ptp(boxes, axis=(0, 1))) / np.sqrt(modulus / body.rho))
 
 
 def body_of_node(prepared: Prepared, node: int) -> Body:

@@ -11,7 +11,9 @@ from phantomnode.geometry.doubling import BoundarySegments, CutMesh
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.prepare import Body, Boundary, Pair, Prepared
-from phantomnode.solver.model import Contact, CutElements, Elements, Model
+from phantomnode.solver.cut_elements import fragment_elements
+from phantomnode.solver.model import Contact, Model
+from phantomnode.solver.q4 import one_point_elements
 from phantomnode.solver.timestep import StepEstimate
 
 LAME, SHEAR, RHO, PENALTY = 2.0e9, 1.0e9, 1000.0, 1e9
@@ -106,20 +108,15 @@ def model_of(bodies) -> Model:
     nodes = [body.nodes.start + body.mesh.elements for body in bodies]
     cut = [body.mesh.cut for body in bodies]
     uncut = np.vstack([n[~c] for n, c in zip(nodes, cut, strict=True)])
-    volume = np.concatenate([b.mesh.area[~b.mesh.cut] for b in bodies])
-    m = len(uncut)
-    elements = Elements(
-        uncut, gradients(x[uncut], np.zeros((m, 2))), volume, np.zeros((m, 4)), np.zeros(m),
-        np.full(m, LAME), np.full(m, SHEAR), RHO * volume,
-    )  # fmt: skip
+    elements = one_point_elements(uncut, x[uncut], LAME, SHEAR, RHO, 0.1)
     mesh = bodies[0].mesh
     middle = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6.0
     points = np.einsum("gk,tkd->tgd", middle, mesh.triangles).reshape(-1, 2)
     owner = np.repeat(mesh.elements[3][None], len(points), axis=0)
     area = float(mesh.area[3])
-    cut_elements = CutElements(
+    cut_elements = fragment_elements(
         mesh.elements[3:], np.array([0, len(points)]), gradients(x[owner], to_local(x[owner], points)),
-        np.full(len(points), area / len(points)), np.array([LAME]), np.array([SHEAR]), np.array([RHO * area]),
+        np.full(len(points), area / len(points)), LAME, SHEAR, RHO,
     )  # fmt: skip
     mass = np.zeros(len(x))
     for group in (elements, cut_elements):

@@ -17,7 +17,7 @@ from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.preflight import steps_of, text_report
 from phantomnode.pipeline.run import check, run
 from phantomnode.pipeline.summary import Clock, count, summarize
-from phantomnode.pipeline.tally import Tally
+from phantomnode.pipeline.tally import Tally, crossing_time
 
 CONTRACT = {
     "version", "status", "case", "steps", "dt", "dt_set_by", "end_time", "wall_s", "step_loop_s",
@@ -47,11 +47,20 @@ def test_counts_of_the_handmade_case(handmade):
 
 
 def test_contact_phases_are_told_apart(handmade, frame_of):
-    """Open, closed twice, open, closed to the end."""
-    forces = [0.0, 1.0, 2.0, 0.0, 0.0, 3.0]
+    """Open, closed twice, open for 6 steps of 0.1 ms, closed to the end; a wave crosses 1 m in 0.5 ms."""
+    forces = [0.0, 1.0, 2.0, *[0.0] * 5, 3.0]
     tally = tallied(handmade, [frame_of(k, pair_force=np.array([[0.0, f]])) for k, f in enumerate(forces)])
     dt = handmade.dt
-    assert tally.phases(0) == [(dt, 2 * dt), (5 * dt, 5 * dt)]
+    assert crossing_time(handmade, handmade.bodies[0]) == pytest.approx(5e-4, rel=1e-14)
+    assert tally.phases(0) == tally.touches(0) == [(dt, 2 * dt), (8 * dt, 8 * dt)]
+
+
+def test_chatter_is_one_phase(handmade, frame_of):
+    """Breaks of 2 and 4 steps, 0.2 and 0.4 ms, are over before a wave has crossed the block."""
+    forces = [1.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0, 0.0]
+    tally = tallied(handmade, [frame_of(k, pair_force=np.array([[f, 0.0]])) for k, f in enumerate(forces)])
+    assert len(tally.touches(0)) == 3
+    assert tally.phases(0) == [(0.0, 6 * handmade.dt)]
 
 
 def test_never_in_contact_has_no_phase(handmade, frame_of):
@@ -92,7 +101,7 @@ def test_what_is_not_finite_is_null(handmade, frame_of, tmp_path):
 
 
 def test_limits_that_are_not_kept_are_named(handmade, frame_of, tmp_path):
-    deep = np.array([0.06, -1e300, -1e300, -1e300])  # 0.12 of the cell
+    deep = np.array([0.15, -1e300, -1e300, -1e300])  # 0.3 of the cell
     tally = tallied(handmade, [frame_of(0), frame_of(1, energy_error=0.02, gap=deep)])
     summary = summarize(handmade, tally, Ending("done", "", "", None), Clock(1.0, 1.0), tmp_path)
     failed = {check.name for check in summary.checks if not check.passed}
@@ -219,3 +228,11 @@ def test_report_as_text_has_no_escapes(handmade):
 def test_steps_reach_the_end(handmade, dt, steps):
     """Also where end / dt is whole but for rounding."""
     assert steps_of(dataclasses.replace(handmade, dt=dt)) == steps
+
+
+def test_live_bar_on_a_terminal(prepared, tmp_path):
+    screen = Console(file=io.StringIO(), width=140, force_terminal=True)
+    run(prepared.case, tmp_path / "out", console=screen)
+    shown = screen.file.getvalue()
+    assert "steps/s" in shown and "of 10 ms" in shown
+    assert screen._live_stack == []
