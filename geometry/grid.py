@@ -49,7 +49,9 @@ class BackgroundGrid:
     def edges(self) -> Ints:
         """(e, 2) Every cell edge once, lower node number first, sorted."""
         ends = np.stack([self.quads, np.roll(self.quads, -1, axis=1)], axis=-1).reshape(-1, 2)
-        return np.unique(np.sort(ends, axis=1), axis=0)
+        # One number an edge sorts faster than a row of two.
+        code = np.unique(ends.min(axis=1) * len(self.xy) + ends.max(axis=1))
+        return np.column_stack(np.divmod(code, len(self.xy)))
 
     @cached_property
     def areas(self) -> Floats:

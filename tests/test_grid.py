@@ -56,6 +56,12 @@ def test_unaligned_lines_are_multiples_with_half_a_cell_around(low):
     assert np.all(grid.xy.min(axis=0) > np.array(low) - 0.16)
 
 
+def test_edges_are_every_pair_once_in_order():
+    grid = polar((0.0, 0.0), (1.0, 2.0), counts=(2, 5))
+    ends = np.stack([grid.quads, np.roll(grid.quads, -1, axis=1)], axis=-1).reshape(-1, 2)
+    np.testing.assert_array_equal(grid.edges, np.unique(np.sort(ends, axis=1), axis=0))
+
+
 def test_cells_are_numbered_along_the_first_direction():
     grid = cartesian((0, 0), (3, 2), cell=1.0, aligned=True)
     np.testing.assert_allclose(grid.xy[grid.quads[1 * 3 + 2]].mean(axis=0), [2.5, 1.5])
