@@ -78,10 +78,11 @@ def run(
 
     def command(console: Console) -> int:
         from phantomnode.pipeline.case import find_case, load_case
-        from phantomnode.pipeline.run import run as run_case
 
         loaded = load_case(case, set_)
         folder = results_folder(loaded, out, find_case(case), overwrite)
+        from phantomnode.pipeline.run import run as run_case  # the solver: only for a case that is sound
+
         summary = run_case(loaded, folder, console=console, command=("phantomnode", *sys.argv[1:]))
         return {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}[summary.status]
 
@@ -110,9 +111,10 @@ def check(
 
     def command(console: Console) -> int:
         from phantomnode.pipeline.case import load_case
-        from phantomnode.pipeline.run import check as check_case
 
         loaded = load_case(case, set_)
+        from phantomnode.pipeline.run import check as check_case  # the solver: only for a case that is sound
+
         check_case(loaded, out or RESULTS / loaded.name, console=console)
         return DONE
 
