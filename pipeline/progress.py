@@ -47,6 +47,10 @@ class LiveBar:
 
     def finish(self, ending: Ending) -> None:
         """Take the bar away."""
+        self.close()
+
+    def close(self) -> None:
+        """Give the terminal back, also after an error; closing twice is fine."""
         self._bar.stop()
 
 
@@ -70,6 +74,9 @@ class PlainLines:
 
     def finish(self, ending: Ending) -> None:
         """Nothing to put away."""
+
+    def close(self) -> None:
+        """Nothing to give back."""
 
 
 def watcher(prepared: Prepared, steps: int, console: Console) -> LiveBar | PlainLines:

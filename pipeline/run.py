@@ -7,6 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
@@ -71,10 +72,11 @@ def run(
     prepared = prepare(case)
     _make_folder(case, folder)
     log = RunLog(folder / "run.log", prepared, command)
-    fields, observers, tally = _observers(prepared, folder, console)
-    ending, stepping = march(prepared, observers)
-    for observer in observers:
-        observer.finish(ending)
+    with ExitStack() as closing:
+        fields, observers, tally = _observers(prepared, folder, console, closing)
+        ending, stepping = march(prepared, observers)
+        for observer in observers:
+            observer.finish(ending)
     clock = Clock(time.perf_counter() - began, stepping)
     summary = summarize(prepared, tally, ending, clock, folder)
     summary.write()
@@ -215,7 +217,7 @@ class RunLog:
 
 
 def _observers(
-    prepared: Prepared, folder: Path, console: Console | None
+    prepared: Prepared, folder: Path, console: Console | None, closing: ExitStack
 ) -> tuple[Fields, list[Observer], Tally]:
     """Everything that looks at the run; the tally first, so that it is complete whatever follows."""
     steps, output = steps_of(prepared), prepared.case.output
@@ -226,7 +228,9 @@ def _observers(
     if console is not None:
         from phantomnode.pipeline.progress import watcher
 
-        observers.append(watcher(prepared, steps, console))
+        progress = watcher(prepared, steps, console)
+        closing.callback(progress.close)
+        observers.append(progress)
     return fields, observers, tally
 
 

@@ -13,10 +13,11 @@ from rich.console import Console
 
 from phantomnode.pipeline import prepare as prepare_module
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.fields import Fields
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.preflight import steps_of, text_report
 from phantomnode.pipeline.run import check, run
-from phantomnode.pipeline.summary import Clock, count, summarize
+from phantomnode.pipeline.summary import Clock, count, step_set_by, summarize
 from phantomnode.pipeline.tally import Tally, crossing_time
 
 CONTRACT = {
@@ -236,3 +237,25 @@ def test_live_bar_on_a_terminal(prepared, tmp_path):
     shown = screen.file.getvalue()
     assert "steps/s" in shown and "of 10 ms" in shown
     assert screen._live_stack == []
+
+
+def test_a_full_disk_is_an_error_and_gives_the_terminal_back(prepared, tmp_path, monkeypatch):
+    def full(self, frame):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Fields, "take", full)
+    screen = Console(file=io.StringIO(), width=140, force_terminal=True)
+    with pytest.raises(OSError, match="No space left"):
+        run(prepared.case, tmp_path / "out", console=screen)
+    assert screen._live_stack == []
+    assert not (tmp_path / "out" / "summary.json").exists()
+
+
+def test_what_sets_the_step(handmade):
+    automatic = "uncut element of body block, contact 50% of the frequency^2"
+    assert step_set_by(handmade) == automatic
+    cut = dataclasses.replace(handmade, estimate=handmade.estimate._replace(element=4, contact_frequency=0.0))
+    assert step_set_by(cut) == "cut element of body block"
+    time = handmade.case.time.model_copy(update={"step": 1e-5})
+    given = dataclasses.replace(handmade, case=handmade.case.model_copy(update={"time": time}))
+    assert step_set_by(given) == f"the case (stable: 0.0001 s by {automatic})"
