@@ -1,0 +1,143 @@
+"""The Hencky law: closed forms, an eigenvalue twin, accuracy over the whole range, and its own gradient."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from phantomnode.solver.hencky import cauchy, energy_density, first_piola, hencky_strain, kirchhoff, logarithm
+
+YOUNG, NU = 1e10, 0.3
+LAME = YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
+SHEAR = YOUNG / (2 * (1 + NU))
+EPS = np.finfo(float).eps
+
+
+def rotation(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def h_of(f):
+    """The displacement gradient as the four numbers that the kernels take."""
+    return tuple((np.asarray(f) - np.eye(2)).ravel().tolist())
+
+
+def twin_log(f):
+    """ln B by eigenvalues and eigenvectors, with NumPy alone."""
+    values, vectors = np.linalg.eigh(f @ f.T)
+    return vectors @ np.diag(np.log(values)) @ vectors.T
+
+
+def test_uniaxial_plane_strain_with_free_side():
+    # Closed forms given to seven digits, hence 1e-7.
+    for stretch, stress, side in (
+        (1.5, 3.534179e9, 0.8404896),
+        (2.0, 5.125862e9, 0.7429971),
+        (3.0, 6.444101e9, 0.6244813),
+    ):
+        s11, s22, _, s12 = cauchy(*h_of(np.diag([stretch, side])), LAME, SHEAR)
+        assert s11 == pytest.approx(stress, rel=2e-7)
+        assert abs(s22) < 2e-7 * stress and s12 == 0.0
+
+
+def test_confined_stretch_and_simple_shear():
+    s11, s22, s33, _ = cauchy(*h_of(np.diag([1.5, 1.0])), LAME, SHEAR)
+    assert (s11, s22, s33) == pytest.approx((3.638789e9, 1.559481e9, 1.559481e9), rel=2e-7)
+    s11, _, _, s12 = cauchy(0.0, 1.0, 0.0, 0.0, LAME, SHEAR)
+    assert (s12, s11) == pytest.approx((3.310838e9, 1.655419e9), rel=2e-7)
+    s11, _, _, s12 = cauchy(0.0, 2.0, 0.0, 0.0, LAME, SHEAR)
+    assert (s12, s11) == pytest.approx((4.794040e9, 4.794040e9), rel=2e-7)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.5 * np.pi, 2.0, np.pi, 4.0, 6.0])
+def test_rotation_gives_no_stress(angle):
+    # The entries of the rotation are rounded to EPS/2, so the strain cannot be less than a few of them.
+    assert max(np.abs(cauchy(*h_of(rotation(angle)), LAME, SHEAR))) < 4 * EPS * YOUNG
+
+
+def test_logarithm_from_tiny_to_huge_strains():
+    """Eigenvalues of B from 1e-3 to 1e3, in any direction, rotated as well: 1e-12 of the largest component."""
+    rng = np.random.default_rng(3)
+    for _ in range(500):
+        stretch = np.exp(0.5 * np.log(1e3) * rng.uniform(-1, 1, 2))
+        axes, turn = rotation(rng.uniform(0, 7)), rotation(rng.uniform(0, 7))
+        f = axes @ np.diag(stretch) @ axes.T @ turn
+        exact = axes @ np.diag(2 * np.log(stretch)) @ axes.T
+        log_j, d, c12, j = logarithm(*h_of(f))
+        got = np.array([[log_j + d, c12], [c12, log_j - d]])
+        # Rounding of F itself moves a small eigenvalue by up to EPS times the condition of F (1e3 at most).
+        assert np.abs(got - exact).max() < 1e-12 * max(1.0, np.abs(exact).max())
+        assert j == pytest.approx(np.prod(stretch), rel=1e-12)
+
+
+def test_small_strains_lose_no_digits():
+    for strain in (1e-3, 1e-6, 1e-10, 1e-14):
+        log_j, d, _, _ = logarithm(strain, 0.0, 0.0, 0.0)
+        assert log_j + d == pytest.approx(2.0 * math.log1p(strain), rel=4 * EPS)
+        # Infinitesimal shear: tau12 = 2 mu e12, to the order of the strain squared.
+        assert kirchhoff(0.0, strain, 0.0, 0.0, LAME, SHEAR)[2] == pytest.approx(
+            SHEAR * strain, rel=strain**2 + 4 * EPS
+        )
+
+
+def test_series_and_closed_form_agree_where_they_meet():
+    """y = 0.09 at tanh(ln(stretch)) = 0.3 for an isochoric stretch; z^2 = 0.09 at J = 13/7."""
+    for f in (np.diag([np.exp(np.arctanh(0.3)), np.exp(-np.arctanh(0.3))]), np.diag([13 / 7, 1.0])):
+        below, above = f - 1e-9 * np.eye(2), f + 1e-9 * np.eye(2)
+        jump = np.array(logarithm(*h_of(above))) - np.array(logarithm(*h_of(below)))
+        slope = np.array(logarithm(*h_of(above + 1e-9 * np.eye(2)))) - np.array(logarithm(*h_of(above)))
+        # Twice the step, so twice the difference; the rest of the series is below 2e-15.
+        np.testing.assert_allclose(jump, 2 * slope, atol=1e-14)
+
+
+def test_stress_agrees_with_the_eigenvalue_twin():
+    rng = np.random.default_rng(5)
+    for _ in range(200):
+        f = np.eye(2) + 0.4 * rng.uniform(-1, 1, (2, 2))
+        log_b, j = twin_log(f), np.linalg.det(f)
+        tau = LAME * np.log(j) * np.eye(2) + SHEAR * log_b
+        t11, t22, t12, _ = kirchhoff(*h_of(f), LAME, SHEAR)
+        # eigh of an ill-conditioned B: EPS times the condition (about 100) of the worst sample.
+        np.testing.assert_allclose([[t11, t12], [t12, t22]], tau, atol=1e-13 * YOUNG)
+        np.testing.assert_allclose(
+            np.reshape(first_piola(*h_of(f), LAME, SHEAR), (2, 2)),
+            tau @ np.linalg.inv(f).T,
+            atol=1e-12 * YOUNG,
+        )
+        np.testing.assert_allclose(
+            hencky_strain(*h_of(f)), (0.5 * log_b)[[0, 1, 0], [0, 1, 1]], atol=1e-13
+        )
+
+
+def test_piola_stress_is_the_gradient_of_the_energy():
+    rng = np.random.default_rng(7)
+    step = 1e-5
+    for scale in (1e-4, 0.3, 0.6):
+        f = np.eye(2) + scale * rng.uniform(-1, 1, (2, 2))
+        numerical = np.zeros(4)
+        for k in range(4):
+            change = np.zeros(4)
+            change[k] = step
+            up, down = (energy_density(*(h_of(f) + sign * change), LAME, SHEAR) for sign in (1, -1))
+            numerical[k] = (up - down) / (2 * step)
+        # Central differences: step^2 times third derivatives (of order 10 E), and EPS W / step.
+        np.testing.assert_allclose(
+            first_piola(*h_of(f), LAME, SHEAR), numerical, atol=100 * step**2 * YOUNG
+        )
+
+
+def test_objectivity():
+    f = np.array([[1.4, 0.5], [-0.2, 0.8]])
+    turn = rotation(1.1)
+    a, b = (kirchhoff(*h_of(g), LAME, SHEAR) for g in (f, turn @ f))
+    tau, turned = (np.array([[t[0], t[2]], [t[2], t[1]]]) for t in (a, b))
+    np.testing.assert_allclose(turned, turn @ tau @ turn.T, atol=20 * EPS * YOUNG)
+
+
+@pytest.mark.parametrize("f", [np.diag([0.0, 1.0]), np.diag([-0.5, 1.0]), np.diag([-1.0, 3.0])])
+def test_no_stress_is_made_up_for_an_inverted_point(f):
+    t11, _, _, j = kirchhoff(*h_of(f), LAME, SHEAR)
+    assert math.isnan(t11) and j <= 0.0
