@@ -62,8 +62,10 @@ def barrier_chains(curves: list[Curve], grid: BackgroundGrid, lattice: Lattice) 
     tree = cKDTree(nodes)
     columns: list[tuple[Ints, Ints, Ints, Ints]] = []
     for number, curve in enumerate(curves):
-        where, fixed = _vertices(curve, grid)
-        points = _snapped(curve, where, fixed, lattice, nodes, tree, _nodes_on(curve, grid))
+        closest = LevelSet.of_curve(curve).query(grid.xy)
+        on = np.abs(closest.distance) <= ON_CURVE * grid.node_size
+        where, fixed = _vertices(curve, grid, (closest.piece + closest.s)[on])
+        points = _snapped(curve, where, fixed, lattice, nodes, tree, on)
         middle = 0.5 * (where[:-1] + where[1:])
         piece = np.minimum(middle.astype(np.int64) % len(curve.bulges), len(curve.bulges) - 1)
         real = np.any(points[1:] != points[:-1], axis=1)
@@ -72,22 +74,16 @@ def barrier_chains(curves: list[Curve], grid: BackgroundGrid, lattice: Lattice) 
     return Chains(starts, ends, which, pieces)
 
 
-def _nodes_on(curve: Curve, grid: BackgroundGrid) -> NDArray[np.bool_]:
-    """(n,) Which grid nodes stand on the curve."""
-    return np.asarray(np.abs(LevelSet.of_curve(curve).distance(grid.xy)) <= ON_CURVE * grid.node_size)
-
-
-def _vertices(curve: Curve, grid: BackgroundGrid) -> tuple[Floats, NDArray[np.bool_]]:
+def _vertices(curve: Curve, grid: BackgroundGrid, at_nodes: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Parameters (piece + fraction, ascending) of the vertices of a chain, and which of them are corners.
 
-    A closed chain ends one turn after its first vertex.
+    ``at_nodes`` are the parameters of the grid nodes on the curve. A closed chain ends one turn after its
+    first vertex.
     """
     count = len(curve.bulges)
     _, _, piece, s = curve_edge_crossings(curve, grid.xy[grid.edges[:, 0]], grid.xy[grid.edges[:, 1]])
-    on = _nodes_on(curve, grid)
-    _, _, node_piece, node_s = LevelSet.of_curve(curve).closest(grid.xy[on])
     corners = np.flatnonzero(curve.corners).astype(np.float64)
-    where = np.concatenate([piece + s, node_piece + node_s, corners])
+    where = np.concatenate([piece + s, at_nodes, corners])
     if curve.closed:
         where, corners = np.mod(where, count), np.mod(corners, count)
         where = np.unique(where) if len(where) else np.zeros(1)
