@@ -1,0 +1,157 @@
+"""The stable step: closed form for a square, and a safe bound, not a wasteful one, with contact closed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phantomnode.solver.cut_elements import fragment_elements
+from phantomnode.solver.explicit import initial_state
+from phantomnode.solver.leapfrog import advance
+from phantomnode.solver.model import Contact, Model
+from phantomnode.solver.q4 import one_point_elements
+from phantomnode.solver.search import prepare_search
+from phantomnode.solver.timestep import stable_step
+
+LAME, SHEAR, RHO = 5.769e9, 3.846e9, 7800.0
+GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+RULE = np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6
+LOCAL = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+
+
+def grid(columns, rows, low=(0.0, 0.0), h=1.0):
+    x = np.array([(i, j) for j in range(rows + 1) for i in range(columns + 1)], dtype=float) * h + low
+    first = np.array([j * (columns + 1) + i for j in range(rows) for i in range(columns)])
+    return x, first[:, None] + np.array([0, 1, columns + 2, columns + 1])
+
+
+def no_contact():
+    none, empty, zero = np.empty((0, 4), dtype=np.int64), np.empty(0, dtype=np.int64), np.zeros(1, int)
+    shapes = np.empty((0, 4))
+    return Contact(
+        none, shapes, np.empty(0), zero, none, shapes, shapes, empty, empty, zero, np.empty(0), np.empty(0)
+    )
+
+
+def no_cut():
+    return fragment_elements(
+        np.empty((0, 4), int), np.zeros(1, int), np.empty((0, 4, 2)), np.empty(0), LAME, SHEAR, RHO
+    )
+
+
+def model_of(x, elements, cut, contact):
+    mass = np.zeros(len(x))
+    for group in (elements, cut):
+        np.add.at(mass, group.nodes, 0.25 * group.mass[:, None])
+    return Model(x, mass, np.zeros_like(x), np.full(x.shape, -1), 0, elements, cut, contact)
+
+
+def lower_fragments(quads, corners, height):
+    """Lower parts, from eta = -1 to ``height`` (one each), of parallelograms as two triangles each."""
+    points, weights = [], []
+    for corner, eta in zip(corners, height, strict=True):
+        area = np.linalg.det(corner.T @ (0.25 * LOCAL)) * (eta + 1.0)
+        box = LOCAL.copy()
+        box[2:, 1] = eta
+        for triangle in (box[:3], box[[0, 2, 3]]):
+            for p in RULE @ triangle:
+                by_local = 0.25 * LOCAL * (1.0 + LOCAL[:, ::-1] * p[::-1])
+                points.append(by_local @ np.linalg.inv(corner.T @ by_local))
+                weights.append(area / 3.0)
+    first = 6 * np.arange(len(quads) + 1)
+    return fragment_elements(quads, first, np.array(points), np.array(weights), LAME, SHEAR, RHO)
+
+
+def stacked(penalty, seed, overlap=1e-6):
+    """A row of uncut cells below, a row of cut ones above, pressed a little into each other all along."""
+    rng = np.random.default_rng(seed)
+    n, h = 5, 0.2
+    x1, q1 = grid(n, 2, h=h)
+    x2, q2 = grid(n, 1, low=(0.07, 2 * h - overlap), h=h)
+    x, q2 = np.vstack([x1, x2]), q2 + len(x1)
+    elements = one_point_elements(q1, x[q1], LAME, SHEAR, RHO)
+    cut = lower_fragments(q2, x[q2], rng.uniform(-0.9, 0.9, n))
+    top = q1[-n:]
+    contact = Contact(
+        np.repeat(q2, 2, axis=0), np.tile(np.column_stack([1 - GAUSS, GAUSS, 0 * GAUSS, 0 * GAUSS]), (n, 1)),
+        np.full(2 * n, h / 2), np.array([0, 2 * n]), top[::-1].copy(), np.tile(np.eye(4)[2], (n, 1)),
+        np.tile(np.eye(4)[3], (n, 1)), np.arange(n) - 1, np.append(np.arange(1, n), -1), np.array([0, n]),
+        np.array([penalty]), np.array([h]),
+    )  # fmt: skip
+    return model_of(x, elements, cut, contact)
+
+
+def true_limit(model):
+    """2/omega of the assembled model, linearised by differences of the forces."""
+    search = prepare_search(model.contact)
+    state = initial_state(model, np.zeros_like(model.x), search)
+    assert model.contact.penalty[0] == 0.0 or np.all(state.gap[:-1] > 0.0)  # the last may stand beyond the end
+    size, step = model.x.size, 1e-8
+    stiffness = np.empty((size, size))
+    for k in range(size):
+        side = []
+        for sign in (1.0, -1.0):
+            state.u[:] = 0.0
+            state.u.flat[k] = sign * step
+            advance(model, state, search, 0.0, np.zeros((0, 0)))
+            side.append(state.force.ravel().copy())
+        stiffness[:, k] = (side[1] - side[0]) / (2 * step)
+    scale = 1.0 / np.sqrt(np.repeat(model.mass, 2))
+    vector = np.random.default_rng(0).normal(size=size)
+    for _ in range(3000):  # power iteration
+        vector = scale * (stiffness @ (scale * vector))
+        vector /= np.linalg.norm(vector)
+    return 2.0 / np.sqrt(vector @ (scale * (stiffness @ (scale * vector))))
+
+
+@pytest.mark.parametrize("h", [1.0, 0.01])
+def test_square_element_in_closed_form(h):
+    """Stiffest mode of a one-point square: dilation, omega^2 = 8 (lambda + mu)/(rho h^2)."""
+    x, quads = grid(1, 1, h=h)
+    model = model_of(x, one_point_elements(quads, x[quads], LAME, SHEAR, RHO), no_cut(), no_contact())
+    estimate = stable_step(model, safety=1.0)
+    omega = np.sqrt(8 * (LAME + SHEAR) / RHO) / h
+    assert estimate.element_frequency == pytest.approx(omega, rel=1e-12)
+    assert estimate.dt == pytest.approx(2.0 / omega, rel=1e-12) and estimate.contact_frequency == 0.0
+    assert stable_step(model).dt == pytest.approx(0.85 * estimate.dt, rel=1e-15)
+
+
+def test_the_stiffest_element_is_found_among_many_of_a_kind():
+    x, quads = grid(300, 250)
+    shear = np.full(len(quads), SHEAR)
+    shear[70000] *= 1.01
+    model = model_of(x, one_point_elements(quads, x[quads], LAME, shear, RHO), no_cut(), no_contact())
+    assert stable_step(model).element == 70000
+
+
+def test_cut_elements_are_numbered_behind_the_uncut_ones():
+    """A whole cell by three-point triangles has stiffer bending modes than the one-point element."""
+    model = stacked(0.0, 1)
+    estimate = stable_step(model)
+    assert estimate.element >= len(model.elements.volume)
+
+
+def test_a_thin_lone_fragment_keeps_a_step_of_half_a_cell():
+    """Paper, end of 2.2: the mass is spread evenly, so the step does not vanish with the fragment."""
+    speed = np.sqrt((LAME + 2 * SHEAR) / RHO)
+    x, quads = grid(1, 1)
+    none = one_point_elements(np.empty((0, 4), int), np.empty((0, 4, 2)), LAME, SHEAR, RHO)
+    for height in (-1 + 1e-6, -0.99, -0.5, 0.0, 0.9):
+        cut = lower_fragments(quads, x[quads], [height])
+        assert stable_step(model_of(x, none, cut, no_contact()), safety=1.0).dt > 0.555 / speed
+
+
+@pytest.mark.parametrize("penalty", [0.0, 1e10, 1e12, 1e14])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_bound_is_safe_and_within_a_factor_of_two(penalty, seed):
+    """The formulation found the true limit at 1.03 .. 1.72 times the bound in 40 random cuts."""
+    model = stacked(penalty, seed)
+    ratio = true_limit(model) / stable_step(model, safety=1.0).dt
+    assert 1.0 - 1e-6 < ratio < 2.0  # the stiffness is a difference quotient, good to about 1e-7
+
+
+def test_a_model_without_elements_is_refused():
+    x, quads = grid(1, 1)
+    none = one_point_elements(quads[:0], x[quads[:0]], LAME, SHEAR, RHO)
+    with pytest.raises(ValueError, match="no element"):
+        stable_step(model_of(x, none, no_cut(), no_contact()))
