@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tarfile
@@ -54,17 +53,14 @@ def test_the_installed_wheel_finds_its_cases(built: Path, tmp_path: Path) -> Non
     python = environment / "bin" / "python"
     wheel = next(built.glob("*.whl"))
     subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-deps", str(wheel)], check=True, timeout=300)
-    borrowed = tmp_path / "borrowed.py"
-    site = [path for path in sys.path if path.endswith("site-packages")]
-    borrowed.write_text(
-        f"import sys; sys.path += {site!r}\n"
-        "import phantomnode, runpy\n"
-        f"assert phantomnode.__file__.startswith({str(environment)!r}), phantomnode.__file__\n"
-        "sys.argv = ['phantomnode', 'check', 'ring_impact']\n"
-        "runpy.run_module('phantomnode', run_name='__main__')\n"
+    own = next(environment.glob("lib/python*/site-packages"))
+    borrowed = [path for path in sys.path if path.endswith("site-packages")]
+    (own / "borrowed.pth").write_text("\n".join(borrowed))  # plain paths: an editable install stays behind
+    where = subprocess.check_output(
+        [python, "-c", "import phantomnode.cases as c; print(c.__file__)"], text=True, cwd=tmp_path
     )
-    done = subprocess.run(
-        [python, borrowed], cwd=tmp_path, capture_output=True, text=True, timeout=300, env={**os.environ}
-    )
+    assert where.startswith(str(own))
+    command = [python, "-m", "phantomnode", "check", "ring_impact"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "results" / "ring_impact" / "preview.png").stat().st_size > 10_000
