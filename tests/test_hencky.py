@@ -107,9 +107,7 @@ def test_stress_agrees_with_the_eigenvalue_twin():
             tau @ np.linalg.inv(f).T,
             atol=1e-12 * YOUNG,
         )
-        np.testing.assert_allclose(
-            hencky_strain(*h_of(f)), (0.5 * log_b)[[0, 1, 0], [0, 1, 1]], atol=1e-13
-        )
+        np.testing.assert_allclose(hencky_strain(*h_of(f)), (0.5 * log_b)[[0, 1, 0], [0, 1, 1]], atol=1e-13)
 
 
 def test_piola_stress_is_the_gradient_of_the_energy():
@@ -124,9 +122,7 @@ def test_piola_stress_is_the_gradient_of_the_energy():
             up, down = (energy_density(*(h_of(f) + sign * change), LAME, SHEAR) for sign in (1, -1))
             numerical[k] = (up - down) / (2 * step)
         # Central differences: step^2 times third derivatives (of order 10 E), and EPS W / step.
-        np.testing.assert_allclose(
-            first_piola(*h_of(f), LAME, SHEAR), numerical, atol=100 * step**2 * YOUNG
-        )
+        np.testing.assert_allclose(first_piola(*h_of(f), LAME, SHEAR), numerical, atol=100 * step**2 * YOUNG)
 
 
 def test_objectivity():

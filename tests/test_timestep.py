@@ -85,7 +85,9 @@ def true_limit(model):
     """2/omega of the assembled model, linearised by differences of the forces."""
     search = prepare_search(model.contact)
     state = initial_state(model, np.zeros_like(model.x), search)
-    assert model.contact.penalty[0] == 0.0 or np.all(state.gap[:-1] > 0.0)  # the last may stand beyond the end
+    assert model.contact.penalty[0] == 0.0 or np.all(
+        state.gap[:-1] > 0.0
+    )  # the last may stand beyond the end
     size, step = model.x.size, 1e-8
     stiffness = np.empty((size, size))
     for k in range(size):
