@@ -29,7 +29,10 @@ PLANE = 1e-9
 SOLIDS = {"3DSOLID", "BODY", "SURFACE", "EXTRUDEDSURFACE", "REVOLVEDSURFACE", "LOFTEDSURFACE", "SWEPTSURFACE",
           "PLANESURFACE", "NURBSURFACE", "MESH", "3DFACE", "POLYFACE", "POLYMESH"}  # fmt: skip
 
-SOLID = "this is a 3D drawing, and a plane problem needs a planar outline: draw the section in the xy plane (constant z)"
+SOLID = (
+    "this is a 3D drawing, and a plane problem needs a planar outline: "
+    "draw the section in the xy plane (constant z)"
+)
 
 
 @dataclass
@@ -58,16 +61,15 @@ def read_dxf(content: bytes, unit: str | None, time_limit: float) -> Geometry:
     GeometryError
         For a damaged or 3D drawing, one without curves, and one without a unit where none is given.
     """
+    import ezdxf
+
     document, notes = _load(content)
     name, unit_notes = chosen(unit, INSUNITS.get(int(document.header.get("$INSUNITS", 0))))
     drawing = _Drawing()
-    deadline = time.monotonic() + time_limit
-    hidden = {layer.dxf.name.lower() for layer in document.layers if layer.is_off() or layer.is_frozen()}
-    for entity, layer in _expanded(document, deadline):
-        if layer.lower() in hidden:
-            drawing.left_out[f"{entity.dxftype()} on hidden layer '{layer}'"] += 1
-        else:
-            _collect(drawing, entity, "" if layer == "0" else layer)
+    try:
+        _collect_all(drawing, document, time.monotonic() + time_limit)
+    except ezdxf.DXFError as error:
+        raise GeometryError(f"the DXF file is damaged ({error}); export it again") from error
     pieces = _flattened(drawing)
     if drawing.left_out:
         listed = ", ".join(f"{count} {kind}" for kind, count in sorted(drawing.left_out.items()))
@@ -75,6 +77,16 @@ def read_dxf(content: bytes, unit: str | None, time_limit: float) -> Geometry:
     factor = metres(name)
     geometry = assemble([piece.scaled(factor) for piece in pieces])
     return Geometry(geometry.regions, geometry.curves, (*unit_notes, *notes, *geometry.notes))
+
+
+def _collect_all(drawing: _Drawing, document: Any, deadline: float) -> None:
+    """Fill the drawing from the model space, without the layers that are not shown."""
+    hidden = {layer.dxf.name.lower() for layer in document.layers if layer.is_off() or layer.is_frozen()}
+    for entity, layer in _expanded(document, deadline):
+        if layer.lower() in hidden:
+            drawing.left_out[f"{entity.dxftype()} on hidden layer '{layer}'"] += 1
+        else:
+            _collect(drawing, entity, "" if layer == "0" else layer)
 
 
 def _load(content: bytes) -> tuple[Any, list[str]]:
@@ -104,7 +116,7 @@ def _decoded(content: bytes) -> str:
 
 def _expanded(document: Any, deadline: float) -> Iterator[tuple[Any, str]]:
     """Every entity of the model space and its layer, blocks replaced by what they hold."""
-    stack: list[Iterator[tuple[Any, str]]] = [iter([(e, e.dxf.layer) for e in document.modelspace()])]
+    stack: list[Iterator[tuple[Any, str]]] = [iter([(e, _layer(e)) for e in document.modelspace()])]
     count = 0
     while stack:
         entity, layer = next(stack[-1], (None, ""))
@@ -130,12 +142,19 @@ def _inside(insert: Any, layer: str) -> Iterator[tuple[Any, str]]:
     places = insert.multi_insert() if insert.mcount > 1 else [insert]
     for place in places:
         for entity in place.virtual_entities():
-            own = entity.dxf.layer
+            own = _layer(entity)
             yield entity, layer if own == "0" else own
+
+
+def _layer(entity: Any) -> str:
+    """The layer of an entity; damaged files hold entities that cannot have one."""
+    return str(entity.dxf.layer) if entity.dxf.is_supported("layer") else "0"
 
 
 def _collect(drawing: _Drawing, entity: Any, layer: str) -> None:
     """Add one entity to the drawing, or count it among those left out."""
+    from ezdxf import DXFError
+
     kind = entity.dxftype()
     try:
         if kind == "LINE":
@@ -162,9 +181,9 @@ def _collect(drawing: _Drawing, entity: Any, layer: str) -> None:
             drawing.left_out[entity.get_mode().upper() if kind == "POLYLINE" else kind] += 1
     except GeometryError:
         raise
-    except (ValueError, ArithmeticError, IndexError, TypeError) as error:
+    except (DXFError, ValueError, ArithmeticError, IndexError, TypeError, AttributeError) as error:
         raise GeometryError(
-            f"{kind} with handle {entity.dxf.handle} on layer '{entity.dxf.layer}' cannot be read ({error}); "
+            f"{kind} with handle {entity.dxf.handle} on layer '{layer or 0}' cannot be read ({error}); "
             "redraw or delete it"
         ) from error
 
@@ -250,7 +269,7 @@ def _flattened(drawing: _Drawing) -> list[Curve]:
     coarse = [Curve(f(np.linspace(b[0], b[-1], 17)), np.zeros(16)) for f, b, _ in drawing.free]
     size = diagonal([*drawing.pieces, *coarse])
     if not np.isfinite(size):
-        raise GeometryError(f"a curve has coordinates that are not finite: the file is damaged")
+        raise GeometryError("a curve has coordinates that are not finite: the file is damaged")
     if np.ptp(drawing.heights) > PLANE * max(size, float(np.max(np.abs(drawing.heights)))):
         raise GeometryError(f"{SOLID}")
     pieces = list(drawing.pieces)

@@ -18,7 +18,10 @@ from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.loops import assemble, join, nest
 
-GMSH_LIBRARIES = "libglu1-mesa libxcursor1 libxft2 libxinerama1 libxrender1 libxfixes3 libgomp1 libgl1 libx11-6 libfontconfig1"
+GMSH_LIBRARIES = (
+    "libglu1-mesa libxcursor1 libxft2 libxinerama1 libxrender1 "
+    "libxfixes3 libgomp1 libgl1 libx11-6 libfontconfig1"
+)
 """The Debian packages that gmsh's wheel needs and does not bring."""
 
 SOLID = (
@@ -100,7 +103,7 @@ def _finish(arguments: list[str], folder: str, time_limit: float) -> tuple[int, 
         said = process.communicate(timeout=time_limit)[1]
     except subprocess.TimeoutExpired:
         raise GeometryError(
-            f"reading it took more than {time_limit:g} s (a script that loops, or a very large part); "
+            f"reading it took more than {time_limit:g} s (a looping script, a damaged file, or a very large part); "
             "simplify it or give a larger time_limit"
         ) from None
     finally:
@@ -123,7 +126,7 @@ def _what_happened(status: int, said: str) -> str:
     if status == 0:
         return "gmsh ended while reading it without a result (a script that calls Exit?)"
     reason = signal.Signals(-status).name if status < 0 else f"exit code {status}"
-    return f"gmsh broke down while reading it ({reason}): the file is damaged, or needs too much memory. {said}".strip()
+    return f"gmsh broke down ({reason}): the file is damaged, or needs too much memory. {said}".strip()
 
 
 def _pieces(data: list[dict[str, Any]], factor: float) -> list[Curve]:

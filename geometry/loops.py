@@ -135,7 +135,8 @@ def _check_pair(first: Curve, second: Curve, a: object, b: object) -> None:
     if shared.length > 4.0 * CHORD_ERROR**0.5 * diagonal([first, second]) or not apart:
         where = shapely.get_coordinates(shared)[0]
         raise GeometryError(
-            f"{_called(first)} and {_called(second)} cross or share a stretch at ({where[0]:g}, {where[1]:g}) m; outlines must not"
+            f"{_called(first)} and {_called(second)} cross or share a stretch at "
+            f"({where[0]:g}, {where[1]:g}) m; outlines must not"
         )
 
 

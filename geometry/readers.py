@@ -20,7 +20,8 @@ TIME_LIMIT = 60.0
 """Seconds after which reading a file is given up."""
 
 _WORDS = {
-    "step": "STEP", "iges": "IGES", "brep": "BREP", "xao": "XAO", "msh": "gmsh mesh", "geo": "gmsh script", "dxf": "DXF",
+    "step": "STEP", "iges": "IGES", "brep": "BREP", "xao": "XAO", "msh": "gmsh mesh", "geo": "gmsh script",
+    "dxf": "DXF",
 }  # fmt: skip
 _SUFFIXES = {"step": ".step", "iges": ".igs", "brep": ".brep", "xao": ".xao", "msh": ".msh", "geo": ".geo"}
 
@@ -194,15 +195,15 @@ def _vetted(file: _File, trust_scripts: bool) -> bytes:
 def _recognised(path: Path) -> _File:
     """The file, its kind by content, after making sure that it is there and whole."""
     if path.is_dir():
-        raise GeometryError(f"is a folder; name the geometry file in it")
+        raise GeometryError("is a folder; name the geometry file in it")
     if not path.exists():
-        raise GeometryError(f"no such file")
+        raise GeometryError("no such file")
     try:
         content = path.read_bytes()
     except OSError as error:
         raise GeometryError(f"cannot be read ({error.strerror})") from error
     if not content.strip():
-        raise GeometryError(f"the file is empty")
+        raise GeometryError("the file is empty")
     file = _File(_kind(content), content)
     _check_whole(file)
     return file
@@ -230,7 +231,7 @@ def _kind(content: bytes) -> str:
     if b"\0" not in content and _SCRIPT.search(cleaned(content.decode("utf-8", errors="replace"))):
         return "geo"
     raise GeometryError(
-        f"the content is of no known kind; geometry is read from DXF (ASCII), STEP, IGES, BREP, XAO, gmsh "
+        "the content is of no known kind; geometry is read from DXF (ASCII), STEP, IGES, BREP, XAO, gmsh "
         "scripts (.geo) and gmsh meshes (.msh)"
     )
 

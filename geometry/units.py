@@ -25,7 +25,8 @@ METRES = {
 """Metres in one of each unit."""
 
 INSUNITS = {
-    1: "in", 2: "ft", 3: "mi", 4: "mm", 5: "cm", 6: "m", 7: "km", 8: "uin", 9: "mil", 10: "yd", 12: "nm", 13: "um", 14: "dm",
+    1: "in", 2: "ft", 3: "mi", 4: "mm", 5: "cm", 6: "m", 7: "km", 8: "uin",
+    9: "mil", 10: "yd", 12: "nm", 13: "um", 14: "dm",
 }  # fmt: skip
 """The unit of each code of $INSUNITS (DXF reference, header variables)."""
 
@@ -39,8 +40,9 @@ _SI_PREFIXES = {
     ".NANO.": "nm",
     ".KILO.": "km",
 }
-_STEP_NAMES = {"INCH": "in", "IN": "in", "FOOT": "ft", "FEET": "ft", "FT": "ft", "YARD": "yd", "MILE": "mi", "MIL": "mil",
-               "MILLIMETRE": "mm", "MM": "mm", "METRE": "m", "M": "m", "CENTIMETRE": "cm"}  # fmt: skip
+_STEP_NAMES = {"INCH": "in", "IN": "in", "FOOT": "ft", "FEET": "ft", "FT": "ft", "YARD": "yd",
+               "MILE": "mi",
+               "MIL": "mil", "MILLIMETRE": "mm", "MM": "mm", "METRE": "m", "M": "m", "CENTIMETRE": "cm"}  # fmt: skip
 
 
 def metres(unit: str) -> float:
