@@ -438,7 +438,7 @@ def test_damaged_drawings_give_geometry_or_a_message_and_never_anything_else(tmp
 
     lines = drawing(tmp_path / "d.dxf", draw).read_text().split("\n")
     start, random = lines.index("ENTITIES"), np.random.default_rng(8)
-    outcomes = set()
+    outcomes: set[type] = set()
     for _ in range(150):
         damaged = list(lines)
         damaged[random.integers(start, len(lines) - 10)] = random.choice(
