@@ -180,4 +180,5 @@ def joined_contact(pairs: list[PairSurfaces], penalty: Floats, reach: Floats) ->
         master_first=master_first.astype(np.int64),
         penalty=penalty,
         reach=reach,
+        offset=np.zeros(int(slave_first[-1])),
     )

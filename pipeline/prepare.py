@@ -170,7 +170,7 @@ def prepare(case: Case) -> Prepared:
     contact = [pair_surfaces(slave, master, cut, first_node) for slave, master in surfaces.values()]
     channel, motion, boundaries = _boundaries(case, cut, bodies)
     model = _model(case, cut, bodies, surfaces, contact, channel, len(motion.channels))
-    _check_overlap(case, cut, surfaces, model)
+    model = model._replace(contact=model.contact._replace(offset=_offsets(case, cut, surfaces, model)))
     estimate = stable_step(model, case.time.safety)
     dt = _step(case, estimate)
     velocity = np.vstack([np.tile(case.body[b.name].initial_velocity, (len(b.mesh.xy), 1)) for b in bodies])
@@ -345,29 +345,45 @@ def _channels(case: Case, name: str, table: BoundaryTable, body: str) -> list[Ch
     return made
 
 
-def _check_overlap(
+def _offsets(
     case: Case, cut: dict[str, CutBody], surfaces: dict[str, tuple[Surface, ...]], model: Model
-) -> None:
-    """Refuse surfaces that overlap before the first step: each millimetre would add energy eps g^2/2."""
-    gaps = initial_state(model, np.zeros_like(model.x), prepare_search(model.contact)).gap
+) -> Floats:
+    """(g,) The depth of each slave point at the start, where the case says that it counts as touching.
+
+    Surfaces that overlap otherwise are refused: each millimetre would add energy eps g^2/2 from nothing.
+    """
+    contact = model.contact
+    gaps = initial_state(model, np.zeros_like(model.x), prepare_search(contact)).gap
+    offsets = np.zeros(len(gaps))
     for k, (name, (slave, master)) in enumerate(surfaces.items()):
-        first, last = model.contact.slave_first[k : k + 2]
-        depth = gaps[first:last]
-        if slave.body != master.body:
-            # Beyond the reach of the search, the drawing itself tells.
-            ends = cut[slave.body].mesh.segments.ends[slave.segments]
-            points = np.repeat(ends.mean(axis=1), POINTS_PER_SEGMENT, axis=0)
-            depth = np.maximum(depth, LevelSet.of_regions(cut[master.body].regions).distance(points))
-        worst = int(np.argmax(depth))
-        if depth[worst] > OVERLAP * cut[slave.body].grid.cell_size:
-            x, y = (
-                cut[slave.body].mesh.segments.ends[slave.segments][worst // POINTS_PER_SEGMENT].mean(axis=0)
-            )
+        points = slice(*contact.slave_first[k : k + 2])
+        depth = np.maximum(gaps[points], 0.0)
+        ends = cut[slave.body].mesh.segments.ends[slave.segments]
+        middle = np.repeat(ends.mean(axis=1), POINTS_PER_SEGMENT, axis=0)
+        inside = np.zeros(len(depth))
+        if slave.body != master.body:  # the drawing tells beyond the reach of the search, too
+            inside = LevelSet.of_regions(cut[master.body].regions).distance(middle)
+        worst = int(np.argmax(np.maximum(depth, inside)))
+        deepest, here = (
+            max(depth[worst], inside[worst]),
+            f"({middle[worst, 0]:.6g}, {middle[worst, 1]:.6g}) m",
+        )
+        if deepest <= OVERLAP * cut[slave.body].grid.cell_size:
+            continue
+        table = case.contact[name]
+        if table.overlap == "refuse":
             raise CaseError(
-                f"contact.{name}: {case.contact[name].slave} and {case.contact[name].master} overlap at the start "
-                f"by {depth[worst]:.3g} m near ({x:.6g}, {y:.6g}) m: move one of the bodies (geometry move = "
-                '[dx, dy]), or measure gaps from this state (overlap = "offset")'
+                f"contact.{name}: {table.slave} and {table.master} overlap at the start by {deepest:.3g} m near "
+                f"{here}: move one of the bodies (geometry move = [dx, dy]), or measure gaps from this state "
+                '(overlap = "offset")'
             )
+        if deepest > contact.reach[k] / 2.0:
+            raise CaseError(
+                f"contact.{name}: {table.slave} lies {deepest:.3g} m deep in {table.master} near {here}, more than "
+                "half a cell, which no offset can stand for: move one of the bodies (geometry move = [dx, dy])"
+            )
+        offsets[points] = depth
+    return offsets
 
 
 def _step(case: Case, estimate: StepEstimate) -> float:

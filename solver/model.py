@@ -59,7 +59,8 @@ class Contact(NamedTuple):
     slave_nodes (g, 4), slave_shape (g, 4), slave_weight (g,) reference length of each point, m; slave_first
     (k + 1,); master_nodes (s, 4), start_shape (s, 4), end_shape (s, 4); previous (s,), following (s,)
     neighbours along the master surface, -1 at a free end; master_first (k + 1,); penalty (k,), Pa/m; reach
-    (k,), m: how deep a point can lie inside and still be found (about one cell).
+    (k,), m: how deep a point can lie inside and still be found (about one cell); offset (g,), m: the depth of each
+    slave point that counts as no penetration (an overlap at the start).
     """
 
     slave_nodes: Ints
@@ -74,6 +75,7 @@ class Contact(NamedTuple):
     master_first: Ints
     penalty: Floats
     reach: Floats
+    offset: Floats
 
 
 class Model(NamedTuple):

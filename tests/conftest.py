@@ -128,7 +128,7 @@ def model_of(bodies) -> Model:
     contact = Contact(
         bottom, shape(edge), np.full(4, 0.25), np.array([0, 4]), nodes[1],
         np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 0.0, 1.0]]), np.array([-1]), np.array([-1]),
-        np.array([0, 1]), np.array([PENALTY]), np.array([0.5]),
+        np.array([0, 1]), np.array([PENALTY]), np.array([0.5]), np.zeros(4),
     )  # fmt: skip
     return Model(x, mass, np.zeros_like(x), channel, 1, elements, cut_elements, contact)
 

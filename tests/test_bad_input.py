@@ -106,11 +106,23 @@ FAULTS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
         "reaches beyond its background grid",
     ),
     "too many cells": (nothing, ["body.part.grid.cell=1e-7"], "cells"),
-    "overlapping bodies at the start": (nothing, ["body.part.geometry.move=[0.0, -0.1]"], "overlap at the start"),
+    "overlapping bodies at the start": (
+        nothing,
+        ["body.part.geometry.move=[0.0, -0.1]"],
+        "overlap at the start",
+    ),
     "unstable step": (nothing, ["time.step=1e-3"], "unstable"),
     "contact with an unknown body": (nothing, ["contact.landing.master='flor.top'"], "flor"),
-    "contact with an unknown part": (nothing, ["contact.landing.master='floor.topp'"], 'did you mean "floor.top"'),
-    "boundary through cells": (nothing, ["body.part.grid.cell=0.07", "boundary.base.on='part.bottom'"], "inside of cells"),
+    "contact with an unknown part": (
+        nothing,
+        ["contact.landing.master='floor.topp'"],
+        'did you mean "floor.top"',
+    ),
+    "boundary through cells": (
+        nothing,
+        ["body.part.grid.cell=0.07", "boundary.base.on='part.bottom'"],
+        "inside of cells",
+    ),
     "box without nodes": (
         nothing,
         ["boundary.base.on={body='floor', box=[[7.0, 7.0], [8.0, 8.0]]}"],
@@ -136,7 +148,9 @@ FAULTS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_fault(name: str, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fault(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     files, overrides, said = FAULTS[name]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "case.toml").write_text(CASE)

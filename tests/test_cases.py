@@ -110,7 +110,9 @@ def test_history_has_the_columns_of_the_contract(results: Path) -> None:
         header = next(csv.reader(file))
     assert header[:7] == "time,kinetic,internal,hourglass,contact,external_work,energy_error".split(",")
     pair, base = "contact.ring_on_obstacle", "reaction.base"
-    assert {f"{pair}.fx", f"{pair}.fy", f"{base}.fx", f"{base}.fy", "body.ring.ux", "body.ring.vy"} <= {*header}
+    assert {f"{pair}.fx", f"{pair}.fy", f"{base}.fx", f"{base}.fy", "body.ring.ux", "body.ring.vy"} <= {
+        *header
+    }
 
 
 def test_polar_and_cartesian_rings_rebound_alike(figures: dict, short_of) -> None:

@@ -26,7 +26,7 @@ def point_contact(points, polygon, reach, closed=True):
     contact = Contact(
         np.repeat(np.arange(g)[:, None], 4, axis=1), first[:g].copy(), np.full(g, 0.01), np.array([0, g]),
         np.column_stack([start, end, end, end]), first[:s].copy(), second[:s].copy(), previous, following,
-        np.array([0, s]), np.array([PENALTY]), np.array([reach]),
+        np.array([0, s]), np.array([PENALTY]), np.array([reach]), np.zeros(g),
     )  # fmt: skip
     return contact, np.vstack([np.reshape(points, (g, 2)), polygon]).astype(float)
 
@@ -145,7 +145,7 @@ def quad_contact(rng):
     contact = Contact(
         np.tile(np.arange(4, 8), (9, 1)), shape(slave), rng.uniform(0.1, 0.3, 9), np.array([0, 9]),
         np.tile(np.arange(4), (4, 1)), shape(ends[:-1]), shape(ends[1:]), np.array([-1, 0, 1, 2]),
-        np.array([1, 2, 3, -1]), np.array([0, 4]), np.array([PENALTY]), np.array([0.8]),
+        np.array([1, 2, 3, -1]), np.array([0, 4]), np.array([PENALTY]), np.array([0.8]), np.zeros(9),
     )  # fmt: skip
     return contact, x
 
@@ -247,7 +247,7 @@ def test_no_pairs_no_points_no_masters():
     for pairs in (0, 1):
         contact = Contact(
             none, np.empty((0, 4)), np.empty(0), np.zeros(pairs + 1, int), none, np.empty((0, 4)),
-            np.empty((0, 4)), empty, empty, np.zeros(pairs + 1, int), np.ones(pairs), np.ones(pairs),
+            np.empty((0, 4)), empty, empty, np.zeros(pairs + 1, int), np.ones(pairs), np.ones(pairs), np.zeros(0),
         )  # fmt: skip
         force, pair_force, gap, _ = forces_at(contact, x, x)
         assert not force.any() and pair_force.shape == (pairs, 2) and not pair_force.any() and len(gap) == 0
@@ -269,8 +269,22 @@ def test_two_pairs_keep_apart():
         master_first=np.array([0, 4, 8]),
         penalty=np.array([1e12, 3e12]),
         reach=np.array([0.1, 0.1]),
+        offset=np.zeros(2),
     )
     _, pair_force, gap, _ = forces_at(two, x, np.zeros_like(x))
     np.testing.assert_allclose(gap, [0.02, 0.01], rtol=1e-13)
     np.testing.assert_allclose(pair_force[:, 1], [2e8, 3e8], rtol=1e-13)
     assert contact_energy(two, gap) == pytest.approx(0.5 * 0.01 * (1e12 * 4e-4 + 3e12 * 1e-4), rel=1e-13)
+
+
+def test_an_overlap_at_the_start_can_count_as_touching():
+    """With the depth at the start as offset nothing pushes; deeper, only what is added does."""
+    contact, x = point_contact([[0.5, 0.98]], SQUARE, 0.1)
+    contact = contact._replace(offset=np.array([0.02]))
+    _, _, gap, _ = forces_at(contact, x, np.zeros_like(x))
+    assert gap[0] <= 1e-16  # rounding of 1 - 0.98
+    u = np.zeros_like(x)
+    u[0, 1] = -0.005
+    _, pair_force, gap, _ = forces_at(contact, x, u)
+    np.testing.assert_allclose(gap, [0.005], rtol=1e-12)
+    np.testing.assert_allclose(pair_force[0, 1], PENALTY * 0.01 * 0.005, rtol=1e-12)

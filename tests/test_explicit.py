@@ -67,7 +67,7 @@ def surface_contact(x, quads, slave, master, penalty, reach):
         np.repeat(quads[parents], 2, axis=0), shape.reshape(g, 4), np.repeat(length / 2, 2),
         np.array([0, g])[: pairs + 1], quads[master[:, 0]], unit[master[:, 1]], unit[master[:, 2]],
         np.roll(np.arange(s), 1), np.roll(np.arange(s), -1), np.array([0, s])[: pairs + 1],
-        np.full(pairs, penalty), np.full(pairs, reach),
+        np.full(pairs, penalty), np.full(pairs, reach), np.zeros(g),
     )  # fmt: skip
 
 

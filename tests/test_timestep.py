@@ -29,7 +29,7 @@ def no_contact():
     none, empty, zero = np.empty((0, 4), dtype=np.int64), np.empty(0, dtype=np.int64), np.zeros(1, int)
     shapes = np.empty((0, 4))
     return Contact(
-        none, shapes, np.empty(0), zero, none, shapes, shapes, empty, empty, zero, np.empty(0), np.empty(0)
+        none, shapes, np.empty(0), zero, none, shapes, shapes, empty, empty, zero, *(np.empty(0),) * 3
     )
 
 
@@ -76,7 +76,7 @@ def stacked(penalty, seed, overlap=1e-6):
         np.repeat(q2, 2, axis=0), np.tile(np.column_stack([1 - GAUSS, GAUSS, 0 * GAUSS, 0 * GAUSS]), (n, 1)),
         np.full(2 * n, h / 2), np.array([0, 2 * n]), top[::-1].copy(), np.tile(np.eye(4)[2], (n, 1)),
         np.tile(np.eye(4)[3], (n, 1)), np.arange(n) - 1, np.append(np.arange(1, n), -1), np.array([0, n]),
-        np.array([penalty]), np.array([h]),
+        np.array([penalty]), np.array([h]), np.zeros(2 * n),
     )  # fmt: skip
     return model_of(x, elements, cut, contact)
 

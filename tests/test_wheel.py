@@ -52,7 +52,9 @@ def test_the_installed_wheel_finds_its_cases(built: Path, tmp_path: Path) -> Non
     venv.create(environment, with_pip=True, symlinks=True)
     python = environment / "bin" / "python"
     wheel = next(built.glob("*.whl"))
-    subprocess.run([python, "-m", "pip", "install", "--quiet", "--no-deps", str(wheel)], check=True, timeout=300)
+    subprocess.run(
+        [python, "-m", "pip", "install", "--quiet", "--no-deps", str(wheel)], check=True, timeout=300
+    )
     own = next(environment.glob("lib/python*/site-packages"))
     borrowed = [path for path in sys.path if path.endswith("site-packages")]
     (own / "borrowed.pth").write_text("\n".join(borrowed))  # plain paths: an editable install stays behind
