@@ -1,9 +1,10 @@
 """Frictionless penalty contact between slave points and the signed distance to the master surface, Eq. 22-28.
 
 The penetration g of a slave point is its depth in the polyline of master segments: the distance of the
-closest point, vertices included, positive inside the material, less the overlap it may start with. The contact energy is the sum of eps w g^2/2
-with w the reference length of the point, and the forces are its exact gradient, so energy and momentum
-balance: along the normal of a segment in its interior, along the radius at a vertex. The force on the
+closest point, vertices included, positive inside the material, less the overlap it may start with. The
+contact energy is the sum of eps w g^2/2 with w the reference length of the point, and the forces are its
+exact gradient, so energy and momentum balance: along the normal of a segment in its interior, along the
+radius at a vertex. The force on the
 master goes to the nodes of the two ends of the segment with (1 - t) N_I(a) + t N_I(b); N_I at the projected
 point (Eq. 28 read literally) would be the gradient of no energy once the element is deformed.
 """
