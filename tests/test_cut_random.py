@@ -100,11 +100,13 @@ def open_patch_components(fragments: Fragments, grid: BackgroundGrid) -> np.ndar
         rim = own.sum(axis=1) == 1
         rim |= own.any(axis=1) & ~np.any(edge_ends == node, axis=1)
         whole_edges = shapely.linestrings(nodes[edge_ends[rim & ~noded]])
-        patch = shapely.buffer(shapely.union_all(shapely.polygons(nodes[grid.quads[cells]])), 1e-5)
+        patch = shapely.union_all(shapely.polygons(nodes[grid.quads[cells]]))
+        around = shapely.buffer(patch, 1e-5)  # noding may bend the rim by a lattice unit
         walls = (fragments.grid_edge >= 0) & rim[fragments.grid_edge]
-        lines = segments[walls | (fragments.barrier & shapely.contains(patch, segments))]
+        lines = segments[walls | (fragments.barrier & shapely.contains(around, segments))]
         faces = shapely.get_parts(shapely.polygonize([*whole_edges, *lines]))
-        counts[node] = sum(body.contains(f.representative_point()) for f in faces)
+        points = [face.representative_point() for face in faces]
+        counts[node] = sum(body.contains(point) and patch.contains(point) for point in points)
     return counts
 
 
