@@ -219,7 +219,7 @@ def part_names(regions: tuple[Region, ...]) -> tuple[str, ...]:
     own = {name for region in regions for loop in region.loops for name in (*loop.names, loop.name) if name}
     holes = ("inner",) if any(region.holes for region in regions) else ()
     sides = tuple(side for side in SIDES if any(mask.any() for mask in part(regions, side)))
-    return ("boundary", "outer", *holes, *sides, *sorted(own))
+    return tuple(dict.fromkeys(("boundary", "outer", *holes, *sides, *sorted(own))))
 
 
 def part(regions: tuple[Region, ...], name: str) -> tuple[Bools, ...]:

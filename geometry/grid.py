@@ -70,6 +70,11 @@ class BackgroundGrid:
         return size
 
     @cached_property
+    def typical_size(self) -> float:
+        """Side of a square with the area of the median cell, metres: the h of a penalty E/h."""
+        return float(np.sqrt(np.median(self.areas)))
+
+    @cached_property
     def cell_size(self) -> float:
         """Length of the longest cell edge, metres."""
         return float(np.max(np.hypot(*(self.xy[self.edges[:, 1]] - self.xy[self.edges[:, 0]]).T)))

@@ -88,9 +88,33 @@ def cut_body(case: Case, name: str) -> CutBody:
         loops = [loop for region in regions for loop in region.loops]
         relocation = relocate(grid, [*loops, *curves], case.relocation.distance)
         mesh = double(relocation.grid, cut(relocation.grid, regions, curves, Lattice.of(grid)))
-    notes = tuple(f"body {name}: {note}" for note in (*notes, *mesh.notes))
+    notes = tuple(
+        f"body {name}: {note}" for note in (*notes, *mesh.notes, *_resolution(mesh, len(loops), interfaces))
+    )
     moved = int(np.count_nonzero(relocation.moved))
     return CutBody(regions, tuple(interfaces), relocation.grid, moved, mesh, notes)
+
+
+COARSE = 0.6
+"""A body of which more than this part of the elements is cut is hardly thicker than a cell."""
+
+
+def _resolution(mesh: CutMesh, loops: int, interfaces: list[tuple[str, Curve]]) -> list[str]:
+    """Warnings of a body that its grid hardly resolves, and of interfaces that cut nothing."""
+    notes = []
+    if mesh.cut.mean() > COARSE:
+        notes.append(
+            f"{mesh.cut.sum()} of its {len(mesh.cut)} elements are cut: it is hardly thicker than a cell; "
+            "use smaller cells"
+        )
+    names = dict.fromkeys(name for name, _ in interfaces)
+    on = {interfaces[k - loops][0] for k in mesh.segments.curve[mesh.segments.side != 0]}
+    notes += [
+        f"interface {name} cuts nothing: it lies outside or within one cell"
+        for name in names
+        if name not in on
+    ]
+    return notes
 
 
 @contextmanager
@@ -106,10 +130,7 @@ def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tu
     """The outlines of a body, placed, with the reader's notes."""
     source = _drawing(case, geometry)
     if not source.regions:
-        raise GeometryError(
-            "there is no closed outline: a body needs one "
-            f"({len(source.curves)} open curves were found; join their ends in the drawing)"
-        )
+        raise GeometryError(f"there is no closed outline, and a body needs one; {_open_ends(source.curves)}")
     if geometry.region is not None:
         names = sorted({region.name for region in source.regions if region.name})
         chosen = tuple(region for region in source.regions if region.name == geometry.region)
@@ -123,6 +144,18 @@ def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tu
         source = Geometry(source.regions, (), (*source.notes, note))
     placed = shapes.placed(source, geometry.move, geometry.rotate, geometry.scale)
     return placed.regions, source.notes
+
+
+def _open_ends(curves: tuple[Curve, ...]) -> str:
+    """Where the widest open chain would have to be closed."""
+    if not curves:
+        return "there are no open curves either"
+    longest = max(curves, key=lambda curve: float(curve.lengths.sum()))
+    (x0, y0), (x1, y1) = longest.points[0], longest.points[-1]
+    return (
+        f"{len(curves)} open curves were found; the longest ends at ({x0:.6g}, {y0:.6g}) m and "
+        f"({x1:.6g}, {y1:.6g}) m, {np.hypot(x1 - x0, y1 - y0):.3g} m apart: join the ends in the drawing"
+    )
 
 
 def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:

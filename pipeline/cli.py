@@ -155,13 +155,15 @@ def new(
     """
 
     def command(console: Console) -> int:
+        from shlex import quote
+
         from phantomnode.pipeline.starter import write_starter
 
         folder = write_starter(Path(name))
         console.print(
             f"Wrote {folder / 'case.toml'} and {folder / 'disc.dxf'}.", highlight=False, soft_wrap=True
         )
-        console.print(f"Run it:  phantomnode run {name}", highlight=False, soft_wrap=True)
+        console.print(f"Run it:  phantomnode run {quote(name)}", highlight=False, soft_wrap=True)
         return DONE
 
     return _guarded(command)

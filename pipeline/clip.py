@@ -17,11 +17,9 @@ from phantomnode.pipeline.prepare import Body, Prepared
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-ON_THE_EDGE = 1e-9
-"""Shape functions below this are zero: the point lies on the opposite edge. Far above what Newton's method
-leaves (1e-14), far below float32 (6e-8), in which results are written."""
-SAME_PLACE = 1e-7
-"""Points of neighbouring elements nearer than this times the cell size are one point of the drawing."""
+ON_THE_EDGE = 2e-6
+"""Shape functions below this are zero: the point lies on the opposite edge. The lattice of the cut leaves up to
+5e-7 where the edge is slanted; in a picture that is nothing."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +57,17 @@ class ClippedBodies:
     def of(cls, prepared: Prepared) -> ClippedBodies:
         """Clip the bodies of a prepared case."""
         quads = prepared.model.elements.nodes
-        nodes, weights, cell = _triangle_corners(prepared.bodies)
+        nodes, weights, place = _triangle_corners(prepared.bodies)
         single = np.count_nonzero(weights, axis=1) == 1
         own = nodes[np.arange(len(nodes)), np.argmax(weights, axis=1)]  # the node on which a corner stands
 
         used = np.unique(np.concatenate([quads.ravel(), own[single]]))
         point_of_node = np.full(len(prepared.model.x), -1)
         point_of_node[used] = np.arange(len(used))
-        between, place = _merge(nodes[~single], weights[~single], prepared.model.x, cell[~single])
+        between, point = _merge(nodes[~single], weights[~single], place[~single])
         corner = np.empty(len(nodes), dtype=np.int64)
         corner[single] = point_of_node[own[single]]
-        corner[~single] = len(used) + place
+        corner[~single] = len(used) + point
 
         at_nodes = np.column_stack([np.ones(len(used)), np.zeros((len(used), 3))])
         body, side, fraction = _labels(prepared.bodies)
@@ -106,8 +104,8 @@ class ClippedBodies:
 
 
 def _triangle_corners(bodies: tuple[Body, ...]) -> tuple[Ints, Floats, Floats]:
-    """Corners of all triangles: (3 t, 4) nodes of the model, (3 t, 4) shape functions, (3 t,) cell size."""
-    nodes, weights, size = [], [], []
+    """Corners of all triangles: (3 t, 4) nodes of the model, (3 t, 4) shape functions, (3 t, 2) places, m."""
+    nodes, weights, places = [], [], []
     for body in bodies:
         mesh = body.mesh
         parent = np.repeat(mesh.elements[mesh.triangle_element], 3, axis=0)
@@ -116,23 +114,22 @@ def _triangle_corners(bodies: tuple[Body, ...]) -> tuple[Ints, Floats, Floats]:
         shapes[np.abs(shapes) < ON_THE_EDGE] = 0.0
         nodes.append(body.nodes.start + parent)
         weights.append(shapes / shapes.sum(axis=1, keepdims=True))
-        size.append(np.ptp(corners, axis=1).max(axis=1))
-    return np.concatenate(nodes), np.concatenate(weights), np.concatenate(size)
+        places.append(mesh.triangles.reshape(-1, 2))
+    return np.concatenate(nodes), np.concatenate(weights), np.concatenate(places)
 
 
-def _merge(nodes: Ints, weights: Floats, x: Floats, size: Floats) -> tuple[Ints, Ints]:
+def _merge(nodes: Ints, weights: Floats, places: Floats) -> tuple[Ints, Ints]:
     """Corners that are one point: on the same place and carried by the same nodes.
 
-    Returns the (r,) corners that represent each point and the (k,) point of each corner. Two sides of a crack
-    stand on the same place but on different nodes, so they stay apart.
+    Returns the (r,) corners that represent each point and the (k,) point of each corner. Places come from one
+    lattice, so the same vertex is the same to the bit. Two sides of a crack stand on the same place but on
+    different nodes, so they stay apart.
     """
     if len(nodes) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    # The offset keeps round coordinates off the steps of the floor, where an ulp would tell neighbours apart.
-    place = np.einsum("pi,pik->pk", weights, x[nodes]) / (SAME_PLACE * size.max())
-    place = np.floor(place + 0.381966).astype(np.int64)
     carriers = np.sort(np.where(weights == 0.0, -1, nodes), axis=1)
-    _, first, point = np.unique(np.hstack([carriers, place]), axis=0, return_index=True, return_inverse=True)
+    key = np.hstack([carriers.astype(np.float64), places])
+    _, first, point = np.unique(key, axis=0, return_index=True, return_inverse=True)
     return first, point.reshape(-1)
 
 

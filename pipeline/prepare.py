@@ -246,7 +246,7 @@ def _penalty(case: Case, name: str, cut: dict[str, CutBody], slave: Surface, mas
     penalty = case.contact[name].penalty
     moduli = [case.material[case.body[surface.body].material].E for surface in (slave, master)]
     if isinstance(penalty, str):
-        return AUTO_PENALTY * min(moduli) / cut[slave.body].grid.cell_size
+        return AUTO_PENALTY * min(moduli) / cut[slave.body].grid.typical_size
     return penalty.value if penalty.value is not None else float(penalty.times_E or 0.0) * moduli[0]
 
 

@@ -144,7 +144,7 @@ def _draw_contact(axes: Axes, prepared: Prepared) -> None:
     for k, pair in enumerate(prepared.pairs):
         master = slice(contact.master_first[k], contact.master_first[k + 1])
         lines = ends(contact.master_nodes[master], contact.start_shape[master], contact.end_shape[master])
-        _lines(axes, lines, color=MASTER, linewidths=1.8, label=f"master of {pair.name}")
+        _lines(axes, lines, color=MASTER, linewidths=1.8, label=f"master of {pair.name} (whole outline)")
         lines = ends(pair.segment_nodes, pair.start_shape, pair.end_shape)
         _lines(axes, lines, color=SLAVE, linewidths=1.8, label=f"slave of {pair.name}")
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from phantomnode.geometry.curves import part, part_names
+from phantomnode.geometry.curves import SIDES, part, part_names
 from phantomnode.geometry.doubling import BoundarySegments
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.errors import CaseError
@@ -68,6 +68,8 @@ def surface(place: str, bodies: dict[str, CutBody], key: str) -> Surface:
     if not what or what not in known:
         close = get_close_matches(what, known, 1)
         hint = f'; did you mean "{owner}.{close[0]}"?' if close else ""
+        if what in SIDES:
+            hint = f" (no straight line of it lies on the {what} of its bounding box)"
         raise CaseError(f'{key}: "{place}" is unknown; the parts of {owner} are: {", ".join(known)}{hint}')
     if len(chosen) == 0:
         raise CaseError(

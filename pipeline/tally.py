@@ -17,6 +17,10 @@ REST = 1e-9
 """A change of momentum below this times m |v|_max is none: rounding over 1e5 steps leaves about 1e-11."""
 
 
+NO_FORCE = 1e-9
+"""Of the largest force of a pair: below it surfaces that only touch press each other by rounding."""
+
+
 class Phase(NamedTuple):
     """A time in which a pair was in contact: the first and the last sample with a force, s."""
 
@@ -44,14 +48,15 @@ class Tally:
         self._prepared = prepared
         self.first: Frame | None = None
         self.last: Frame | None = None
-        self.energy_error_max = 0.0
+        self.largest_energy = 0.0
+        self._unbalanced = 0.0
         self.hourglass_max = 0.0
         self.internal_max = 0.0
         self.speed_max = 0.0
         self.smallest_j = np.inf
         self.penetration = np.zeros(len(prepared.pairs))
         self._times: list[float] = []
-        self._touching: list[Floats] = []
+        self._forces: list[Floats] = []
 
     def due(self, step: int) -> bool:
         """Every frame."""
@@ -62,7 +67,8 @@ class Tally:
         if self.first is None:
             self.first = frame
         self.last = frame
-        self.energy_error_max = max(self.energy_error_max, abs(frame.energy_error))
+        self.largest_energy = max(self.largest_energy, frame.largest_energy)
+        self._unbalanced = max(self._unbalanced, frame.energy_error * frame.largest_energy)
         self.hourglass_max = max(self.hourglass_max, frame.energies.hourglass)
         self.internal_max = max(self.internal_max, frame.energies.internal)
         self.speed_max = max(self.speed_max, float(np.max(np.hypot(*frame.v.T), initial=0.0)))
@@ -71,12 +77,20 @@ class Tally:
             deepest = np.max(frame.gap[pair.points], initial=0.0)
             self.penetration[k] = max(self.penetration[k], deepest)
         self._times.append(frame.time)
-        self._touching.append(np.hypot(*frame.pair_force.T) > 0.0)
+        self._forces.append(np.hypot(*frame.pair_force.T))
 
     def finish(self, ending: Ending) -> None:
         """Add the last good frame of a run that was stopped between samples."""
         if ending.frame is not None and (self.last is None or ending.frame.step > self.last.step):
             self.frame(ending.frame)
+
+    @property
+    def energy_error_max(self) -> float:
+        """The largest energy that was lost or gained, over the largest energy of the whole run.
+
+        A frame's own error is over the largest energy so far, which is next to nothing when a load sets in.
+        """
+        return self._unbalanced / self.largest_energy if self.largest_energy > 0.0 else 0.0
 
     def phases(self, pair: int) -> list[Phase]:
         """The contact phases of a pair, in order.
@@ -96,7 +110,8 @@ class Tally:
         """Every time in which a pair bore a force, in order, as far as the samples show."""
         if not self._times:
             return []
-        touching = np.array([sample[pair] for sample in self._touching])
+        force = np.array([sample[pair] for sample in self._forces])
+        touching = force > NO_FORCE * force.max()
         turns = np.diff(np.concatenate([[False], touching, [False]]).astype(np.int8))
         starts, ends = np.flatnonzero(turns == 1), np.flatnonzero(turns == -1) - 1
         return [Phase(self._times[a], self._times[b]) for a, b in zip(starts, ends, strict=True)]

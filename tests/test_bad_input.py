@@ -133,6 +133,11 @@ FAULTS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
         ["boundary.again={on='floor.bottom', velocity={y=0.0}}"],
         "already moved",
     ),
+    "side without a straight line": (
+        nothing,
+        ["body.part.geometry.rotate=5.0", "contact.landing.slave='part.bottom'"],
+        "no straight line",
+    ),
     "expression with an unknown name": (nothing, ["boundary.base.displacement={y='2*tt'}"], "tt"),
     "expression that is not finite": (nothing, ["boundary.base.displacement={y='log(t)'}"], "finite"),
     "displacement that jumps": (nothing, ["boundary.base.displacement={y=0.1}"], "t = 0"),

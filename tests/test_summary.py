@@ -103,7 +103,7 @@ def test_what_is_not_finite_is_null(handmade, frame_of, tmp_path):
 
 def test_limits_that_are_not_kept_are_named(handmade, frame_of, tmp_path):
     deep = np.array([0.15, -1e300, -1e300, -1e300])  # 0.3 of the cell
-    tally = tallied(handmade, [frame_of(0), frame_of(1, energy_error=0.02, gap=deep)])
+    tally = tallied(handmade, [frame_of(0), frame_of(1, energy_error=0.02, largest_energy=1.0, gap=deep)])
     summary = summarize(handmade, tally, Ending("done", "", "", None), Clock(1.0, 1.0), tmp_path)
     failed = {check.name for check in summary.checks if not check.passed}
     assert failed == {"energy error", "penetration over cell size"}
