@@ -1,4 +1,4 @@
-"""Frictionless penalty contact between slave points and the signed distance to the master surface, Eq. 22-28.
+"""Penalty contact along the normal between slave points and the signed distance to the master surface, Eq. 22-28.
 
 The penetration g of a slave point is its depth in the polyline of master segments: the distance of the
 closest point, vertices included, positive inside the material, less the overlap it may start with. The
@@ -25,6 +25,15 @@ Ints = NDArray[np.int64]
 
 OPEN = -1e300
 """The gap of a slave point that touches nothing."""
+
+
+@njit(cache=True, error_model="numpy")
+def reported(contact: Contact, k: int) -> tuple[int, float]:
+    """The number under which pair k is reported, and the sign of its forces there: -1 in a second pass."""
+    if len(contact.pair) == 0:
+        return k, 1.0
+    second = k > 0 and contact.pair[k - 1] == contact.pair[k]
+    return contact.pair[k], -1.0 if second else 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -121,12 +130,14 @@ def add_contact_forces(
     force : (n, 2) float64, N/m
         Added to, in the order of the slave points.
     pair_force : (k, 2) float64, N/m
-        Overwritten: force on the slave of each pair.
+        Overwritten: force on the slave of each pair that is reported (:func:`reported`).
     gap : (g,) float64, metres
         Penetration of each candidate point, ``OPEN`` where it touches nothing.
     normal : (g, 2) float64
         Overwritten where closed: direction of the force on the slave.
     """
+    for k in range(len(pair_force)):
+        pair_force[k, 0], pair_force[k, 1] = 0.0, 0.0
     for k in range(len(contact.penalty)):
         total_x, total_y = 0.0, 0.0
         reach2 = contact.reach[k] * contact.reach[k]
@@ -155,7 +166,14 @@ def add_contact_forces(
             total_x += fx
             total_y += fy
             gap[g], normal[g, 0], normal[g, 1] = depth, nx, ny
-        pair_force[k, 0], pair_force[k, 1] = total_x, total_y
+        pair, sign = reported(contact, k)
+        pair_force[pair, 0] += sign * total_x
+        pair_force[pair, 1] += sign * total_y
+
+
+def pairs_of(contact: Contact) -> int:
+    """Number of pairs that are reported: two passes count as one."""
+    return len(contact.penalty) if len(contact.pair) == 0 else int(contact.pair[-1]) + 1
 
 
 def contact_energy(contact: Contact, gap: Floats) -> float:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from phantomnode.solver.contact import contact_energy
 from phantomnode.solver.cut_elements import cut_energy
 from phantomnode.solver.leapfrog import DONE, advance, initial_state
-from phantomnode.solver.model import Energies, Model, State
+from phantomnode.solver.model import NOWHERE, Energies, Model, State
 from phantomnode.solver.q4 import element_energies
 from phantomnode.solver.search import prepare_search
 from phantomnode.solver.stress import cut_stress, element_stress
@@ -42,10 +42,11 @@ class Frame(NamedTuple):
     """The state at one time.
 
     time, s; step; u (n, 2), m; v (n, 2), m/s; energies; energy_error: |kinetic + internal + hourglass +
-    contact - external work - what there was at time 0| over the largest energy seen so far; reaction
+    contact + friction - external work - what there was at time 0| over the largest energy seen so far; reaction
     (channels,) force that each prescribed motion exerts, N/m; pair_force (k, 2) force on the slave of each
     pair, N/m; pair_impulse (k, 2) its time integral, N s/m; pair_peak (k,) its largest norm so far, N/m;
     gap (g,) penetration or -1e300 where open, m; normal (g, 2) direction of the force on the slave;
+    tangential (g, 2) friction force on each slave point, N/m, empty without friction;
     smallest_j: smallest J = det F; state, initial_energy and largest_energy: what a run needs to be resumed
     from here.
     """
@@ -66,6 +67,7 @@ class Frame(NamedTuple):
     state: State
     initial_energy: float
     largest_energy: float
+    tangential: Floats = NOWHERE
 
 
 class RunStopped(RuntimeError):
@@ -99,9 +101,18 @@ def energies(model: Model, state: State, dt: float) -> Energies:
         kinetic=0.5 * float(np.sum(model.mass[:, None] * v**2)),
         internal=internal + cut_energy(model.cut_elements, state.u),
         hourglass=hourglass,
-        contact=contact_energy(model.contact, state.gap),
+        contact=contact_energy(model.contact, state.gap) + float(state.stick[0]),
         external_work=float(state.external[0]) + last_half_step + float(np.sum(model.load * state.u)),
+        friction=_dissipated(state, v, half),
     )
+
+
+def _dissipated(state: State, v: Floats, half: float) -> float:
+    """What slip has turned into heat so far, J/m: what the friction forces took and the springs do not hold."""
+    if len(state.friction_force) == 0:
+        return 0.0
+    last_half_step = half * 0.5 * float(np.sum(state.friction_force * (state.v + v)))
+    return -(float(state.slip[0]) + last_half_step) - float(state.stick[0])
 
 
 def velocity(state: State, dt: float) -> Floats:
@@ -118,13 +129,13 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
     """The frame of a state; ``before`` is the last one, from which the balance goes on."""
     now = energies(model, state, dt)
     stored = now.internal + now.hourglass + now.contact
-    total = now.kinetic + stored - now.external_work
+    total = now.kinetic + stored + now.friction - now.external_work
     initial = before.initial_energy if before else total
     largest = max(now.kinetic, stored, abs(now.external_work), before.largest_energy if before else 0.0)
     held = model.channel >= 0
     reaction = np.zeros(model.channels)
     np.add.at(reaction, model.channel[held], _nodal_reaction(model, state)[held])
-    copy = State(*(field.copy() for field in state))
+    copy = State._make(field.copy() for field in state)
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     return Frame(
         time=float(state.clock[0]),
@@ -143,6 +154,7 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
         state=copy,
         initial_energy=initial,
         largest_energy=largest,
+        tangential=copy.tangential,
     )
 
 
@@ -190,7 +202,7 @@ def frames(
         if 0 in due:
             yield last
     else:
-        state, last = State(*(field.copy() for field in resume.state)), resume
+        state, last = State._make(field.copy() for field in resume.state), resume
     for target in due[due > last.step]:
         done = last.step
         while done < target:

@@ -5,7 +5,7 @@ from the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribe
 increment, so that v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces
 on them. With R(n) from the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2
 makes the discrete balance of kinetic energy and work an identity, and the error of the whole balance is
-O(dt^2).
+O(dt^2). The work of friction is booked in the same way.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from phantomnode.solver.contact import OPEN, add_contact_forces
+from phantomnode.solver.contact import OPEN, add_contact_forces, pairs_of
 from phantomnode.solver.cut_elements import add_cut_forces
+from phantomnode.solver.friction import add_friction_forces, friction_power, let_go
 from phantomnode.solver.model import Model, State
 from phantomnode.solver.q4 import add_element_forces
 from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
@@ -42,17 +43,17 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
     Raises
     ------
     ValueError
-        Where a node has no mass or a contact pair has no reach.
+        Where a node that is not held has no mass or a contact pair has no reach.
     """
-    n, points, pairs = len(model.x), len(model.contact.slave_weight), len(model.contact.penalty)
-    if not np.all(model.mass > 0.0):
-        raise ValueError(
-            f"node {int(np.argmin(model.mass))} has no mass; every node must belong to an element"
-        )
+    n, points, pairs = len(model.x), len(model.contact.slave_weight), pairs_of(model.contact)
+    massless = ~(model.mass > 0.0) & np.any(model.channel < 0, axis=1)
+    if np.any(massless):
+        raise ValueError(f"node {int(np.argmax(massless))} has no mass; every node must belong to an element")
     if not np.all(model.contact.reach > 0.0):
         raise ValueError(
             f"contact pair {int(np.argmin(model.contact.reach))} has no reach; give about one cell"
         )
+    rubbing = bool(np.any(model.contact.friction > 0.0))
     state = State(
         u=np.zeros((n, 2)),
         v=np.array(velocity, dtype=np.float64, order="C").reshape(n, 2),
@@ -67,6 +68,12 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
         normal=np.zeros((points, 2)),
         clock=np.zeros(2),
         smallest_j=np.ones(1),
+        anchor=np.full(points if rubbing else 0, -1, dtype=np.int64),
+        anchor_at=np.zeros(points if rubbing else 0),
+        tangential=np.zeros((points if rubbing else 0, 2)),
+        friction_force=np.zeros((n if rubbing else 0, 2)),
+        stick=np.zeros(1),
+        slip=np.zeros(1),
     )
     advance(model, state, search, 0.0, np.zeros((0, model.channels)))
     return state
@@ -92,7 +99,9 @@ def find_candidates(model: Model, state: State, search: Search) -> Candidates:
     """Candidate lists at the current displacement; points outside them are open."""
     for g in range(len(state.gap)):
         state.gap[g] = OPEN
-    return build_candidates(model.contact, search, model.x, state.u)
+    candidates = build_candidates(model.contact, search, model.x, state.u)
+    let_go(candidates, state)
+    return candidates
 
 
 @njit(cache=True, error_model="numpy")
@@ -101,6 +110,8 @@ def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None
     add_contact_forces(
         model.contact, candidates, model.x, state.u, state.force, state.pair_force, state.gap, state.normal
     )
+    if len(state.anchor) > 0:
+        add_friction_forces(model.contact, candidates, model.x, state)
     for k in range(len(state.pair_peak)):
         size = math.sqrt(state.pair_force[k, 0] ** 2 + state.pair_force[k, 1] ** 2)
         state.pair_peak[k] = max(state.pair_peak[k], size)
@@ -116,7 +127,7 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
     u, v, a = state.u, state.v, state.a
     for c in range(len(state.reaction)):
         state.reaction[c] = 0.0
-    work = 0.0
+    work, slip = 0.0, friction_power(state.friction_force, v)
     for i in range(len(model.mass)):
         for d in range(2):
             c = model.channel[i, d]
@@ -132,6 +143,7 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
                 v[i, d] = after
                 u[i, d] += increment[c]
     state.external[0] += kick * work
+    state.slip[0] += kick * 0.5 * (slip + friction_power(state.friction_force, v))
     for k in range(len(state.pair_peak)):
         state.pair_impulse[k, 0] += kick * state.pair_force[k, 0]
         state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]

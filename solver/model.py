@@ -48,6 +48,12 @@ class CutElements(NamedTuple):
     mass: Floats
 
 
+NONE = np.zeros(0)
+NOBODY = np.zeros(0, dtype=np.int64)
+NOWHERE = np.zeros((0, 2))
+"""What is left empty where a feature is not in use, so that it costs nothing."""
+
+
 class Contact(NamedTuple):
     """Slave points and master segments of all contact pairs.
 
@@ -61,6 +67,14 @@ class Contact(NamedTuple):
     neighbours along the master surface, -1 at a free end; master_first (k + 1,); penalty (k,), Pa/m; reach
     (k,), m: how deep a point can lie inside and still be found (about one cell); offset (g,), m: the depth of each
     slave point that counts as no penetration (an overlap at the start).
+
+    What follows is empty where no pair makes use of it. friction (k,) Coulomb's coefficient, and
+    tangential_penalty (k,), Pa/m, of the stick; pair (k,): where a pair is tested in two passes, each of them is
+    a pair k here, one behind the other, and pair[k] is the number under which both are reported; exclusion (k,),
+    m: in self contact a point does not see the segments within this distance from it along its own curve (0
+    elsewhere), with slave_place (g, 2) number of the curve (-1: none) and distance along it, m, and master_place
+    (s, 4) number of the curve, distance along it at the middle of the segment, half the segment's length, and
+    length of the curve, m (infinite where it is open), all in the reference configuration.
     """
 
     slave_nodes: Ints
@@ -76,12 +90,19 @@ class Contact(NamedTuple):
     penalty: Floats
     reach: Floats
     offset: Floats
+    friction: Floats = NONE
+    tangential_penalty: Floats = NONE
+    pair: Ints = NOBODY
+    exclusion: Floats = NONE
+    slave_place: Floats = NOWHERE
+    master_place: Floats = np.zeros((0, 4))
 
 
 class Model(NamedTuple):
     """Everything that stays the same during a run.
 
-    x (n, 2) reference positions, m; mass (n,) lumped, kg/m; load (n, 2) constant nodal force (gravity), N/m;
+    x (n, 2) reference positions, m; mass (n,) lumped, kg/m (0 for the nodes of rigid obstacles, which are
+    held in both directions); load (n, 2) constant nodal force (gravity), N/m;
     channel (n, 2) row of the prescribed motion that holds each degree of freedom, -1 where it is free;
     channels: number of prescribed motions; elements, cut_elements, contact: the lists above.
     """
@@ -108,6 +129,12 @@ class State(NamedTuple):
     s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration (positive) or -1e300 where open,
     m; normal (g, 2) direction of the force on the slave; clock (2,): time, s, and number of steps done;
     smallest_j (1,) smallest J = det F met in the last step.
+
+    Friction, all empty where no pair has any: anchor (g,) master segment on which the spring of a stuck point
+    is fixed, -1 where the point is open; anchor_at (g,) parameter on that segment, beyond 0..1 where the point has
+    passed a free end; tangential (g, 2)
+    friction force on each slave point, N/m; friction_force (n, 2) the part of ``force`` that is friction, N/m.
+    stick (1,) energy of the springs, J/m; slip (1,) work of the friction forces up to half a step back, J/m.
     """
 
     u: Floats
@@ -123,13 +150,24 @@ class State(NamedTuple):
     normal: Floats
     clock: Floats
     smallest_j: Floats
+    anchor: Ints
+    anchor_at: Floats
+    tangential: Floats
+    friction_force: Floats
+    stick: Floats
+    slip: Floats
 
 
 class Energies(NamedTuple):
-    """Energies at one time, J per metre of thickness."""
+    """Energies at one time, J per metre of thickness.
+
+    contact holds the energy of the normal and of the tangential springs; friction is what slip has dissipated
+    since the start.
+    """
 
     kinetic: float
     internal: float
     hourglass: float
     contact: float
     external_work: float
+    friction: float = 0.0

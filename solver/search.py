@@ -210,8 +210,23 @@ def rows_of(values: Floats, rows: Ints) -> Floats:
 
 
 @njit(cache=True, error_model="numpy")
+def own_neighbourhood(contact: Contact, k: int, g: int, s: int) -> bool:
+    """Whether segment s lies so near to slave point g along their own curve that they do not see each other."""
+    if len(contact.exclusion) == 0 or not contact.exclusion[k] > 0.0:
+        return False
+    curve, middle, half, length = contact.master_place[s]
+    if contact.slave_place[g, 0] != curve:
+        return False
+    apart = abs(contact.slave_place[g, 1] - middle)
+    return min(apart, length - apart) - half < contact.exclusion[k]
+
+
+@njit(cache=True, error_model="numpy")
 def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> Candidates:
-    """Every master segment within reach + skin of every slave point, at the displacement u."""
+    """Every master segment within reach + skin of every slave point, at the displacement u.
+
+    In self contact without those of the point's own neighbourhood.
+    """
     points, pairs = len(contact.slave_weight), len(contact.penalty)
     near, near_first = np.empty(points, dtype=np.int64), np.zeros(pairs + 1, dtype=np.int64)
     first, segments = np.zeros(points + 1, dtype=np.int64), np.empty(4 * points, dtype=np.int64)
@@ -234,7 +249,7 @@ def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> 
                 for c in range(bins[b], bins[b + 1]):
                     s = members[c]
                     d2, _ = closest(px, py, ends[s, 0], ends[s, 1], ends[s, 2], ends[s, 3])
-                    if d2 <= margin * margin:
+                    if d2 <= margin * margin and not own_neighbourhood(contact, k, g, master + s):
                         segments[filled] = master + s
                         filled += 1
                 if filled > start:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.solver.model import CutElements, Elements, Model
+from phantomnode.solver.model import Contact, CutElements, Elements, Model
 
 Floats = NDArray[np.float64]
 
@@ -126,12 +126,27 @@ def _contact_eigenvalue(model: Model) -> float:
     """
     contact = model.contact
     stiffness = np.zeros(len(model.mass))
-    slave_penalty = np.repeat(contact.penalty, np.diff(contact.slave_first))
+    penalty = _spring_stiffness(contact)
+    slave_penalty = np.repeat(penalty, np.diff(contact.slave_first))
     by_point = 2.0 * slave_penalty * contact.slave_weight
     np.add.at(stiffness, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
     corners = model.x[contact.master_nodes]
     along = np.einsum("si,sia->sa", contact.end_shape - contact.start_shape, corners)
-    by_segment = 2.0 * np.repeat(contact.penalty, np.diff(contact.master_first)) * np.hypot(*along.T)
+    by_segment = 2.0 * np.repeat(penalty, np.diff(contact.master_first)) * np.hypot(*along.T)
     middle = 0.5 * (contact.start_shape + contact.end_shape)
     np.add.at(stiffness, contact.master_nodes, by_segment[:, None] * middle)
-    return float(np.max(stiffness / model.mass, initial=0.0))
+    heavy = model.mass > 0.0  # the nodes of rigid obstacles have none, and do not swing
+    return float(np.max(stiffness[heavy] / model.mass[heavy], initial=0.0))
+
+
+def _spring_stiffness(contact: Contact) -> Floats:
+    """(k,) Stiffness of the springs of each pair over any direction, Pa/m.
+
+    The normal and the tangential spring of a point act across each other, so that the stiffer one bounds both
+    as long as it sticks. Where it slips, the friction mu eps g follows the gap: the norm of that matrix, with the
+    rows (eps, 0) and (mu eps, 0), is eps sqrt(1 + mu^2).
+    """
+    if len(contact.friction) == 0:
+        return contact.penalty
+    tangential = np.where(contact.friction > 0.0, contact.tangential_penalty, 0.0)
+    return np.maximum(contact.penalty * np.sqrt(1.0 + contact.friction**2), tangential)
