@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from phantomnode.geometry.arrangement import Arrangement
-from phantomnode.geometry.chains import Chains, barrier_chains
+from phantomnode.geometry.chains import Chains, barrier_chains, in_cells
 from phantomnode.geometry.curves import Curve, Region
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.grid import BackgroundGrid
@@ -150,9 +149,9 @@ def cut(
         Where outlines cross each other or the body reaches beyond the grid.
     """
     loops = [loop for region in regions for loop in region.loops]
-    chains = barrier_chains([*loops, *interfaces], grid, lattice)
+    chains = barrier_chains([*loops, *interfaces], grid, lattice, len(loops))
     nodes, edges = lattice.snap(grid.xy), CellEdges.of(grid)
-    band = _band(nodes[grid.quads], chains)
+    chains, band = in_cells(chains, nodes[grid.quads])
     pieces, source_edges = _noded(nodes, grid.quads, edges, band, chains)
     arrangement = Arrangement.of(pieces)
     tags = _Tags.of(arrangement, pieces, source_edges, chains, len(loops))
@@ -162,21 +161,6 @@ def cut(
     return _fragments(
         lattice, nodes, grid.quads, edges, arrangement, tags, face_cell, inside_face, inside_cell, len(loops)
     )
-
-
-def _band(corners: Ints, chains: Chains) -> Bools:
-    """(cells,) Which cells come near a barrier: their bounding boxes touch, with a margin for rounding."""
-    margin = 4.0
-    low, high = (
-        np.minimum(chains.starts, chains.ends) - margin,
-        np.maximum(chains.starts, chains.ends) + margin,
-    )
-    tree = shapely.STRtree(shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1]))
-    least, most = corners.min(axis=1), corners.max(axis=1)
-    hit, _ = tree.query(shapely.box(least[:, 0], least[:, 1], most[:, 0], most[:, 1]))
-    band = np.zeros(len(corners), dtype=bool)
-    band[hit] = True
-    return band
 
 
 def _noded(nodes: Ints, quads: Ints, edges: CellEdges, band: Bools, chains: Chains) -> tuple[Pieces, Ints]:
@@ -347,7 +331,10 @@ def _crossing_message(
         x, y = lattice.position(vertex[None])[0]
     else:
         x, y = grid.xy[grid.quads[thing - faces]].mean(axis=0)
-    return f"outlines cross each other or themselves near ({x:.6g}, {y:.6g}) m: mend the drawing there"
+    return (
+        f"outlines cross each other or themselves near ({x:.6g}, {y:.6g}) m, as drawn or as chords from one cell "
+        "edge to the next: mend the drawing there, or make the cells smaller"
+    )
 
 
 def _check_cover(

@@ -2,7 +2,7 @@
 
 Raw floating point breaks connectivity: a barrier an ulp off a grid line leaves slivers that float freely or
 leaks through a corner. Here every end point is a point of one integer lattice, intersections are rounded to
-it, and a segment that passes within half a unit of a vertex is led through it, until segments meet at common
+it, and a segment that passes within a unit or so of a vertex is led through it, until segments meet at common
 ends only. All signs are exact (int64), and every piece remembers the segment it came from, so what is a
 barrier is known from the same pass that makes the pieces (Hobby, Comput. Geom. 13, 1999: snap rounding).
 """
@@ -24,6 +24,14 @@ Ints = NDArray[np.int64]
 UNITS_PER_CELL = 2**22
 """Lattice units along the longest cell edge. Directions of two segments within a cell then differ by more than
 2^-47 rad, which arctan2 in double precision tells apart, and cross products fit into int64 with room."""
+
+
+ON_LINE = 1.5
+"""A point of a line and the ends of the line are each rounded by up to sqrt(1/2) units, so the rounded point is
+off the rounded line by up to sqrt(2): an interface that ends on an outline must still end on it."""
+
+CLEAR = 4.0
+"""Units from the ends of a segment from which ``ON_LINE`` holds."""
 
 
 @dataclass(frozen=True)
@@ -125,8 +133,12 @@ def _splits(a: Ints, b: Ints, active: NDArray[np.bool_]) -> tuple[Ints, Ints]:
             hit = _passes(a[s], b[s], vertex[t])
             whom.append(s[hit])
             where.append(vertex[t][hit])
-    # Proper crossings: the rounded intersection becomes a vertex of both.
-    hit = _cross_properly(a[i], b[i], a[j], b[j])
+    # Proper crossings: the rounded intersection becomes a vertex of both. Segments that are led through a
+    # vertex already wait for the next round: beside it their crossing would only round to another one, and so
+    # on, unit by unit.
+    led = np.zeros(len(a), dtype=bool)
+    led[np.concatenate(whom)] = True
+    hit = ~led[i] & ~led[j] & _cross_properly(a[i], b[i], a[j], b[j])
     p, q = i[hit], j[hit]
     meeting = _intersection(a[p], b[p], a[q], b[q])
     whom, where = [*whom, p, q], [*where, meeting, meeting]
@@ -166,13 +178,18 @@ def _boxes(a: Ints, b: Ints) -> NDArray[np.object_]:
 
 
 def _passes(a: Ints, b: Ints, v: Ints) -> NDArray[np.bool_]:
-    """Whether segments a-b pass v, beside their ends, at less than sqrt(1/2) units: the half pixel diagonal."""
+    """Whether segments a-b pass v beside their ends: at less than half the diagonal of a pixel, or, ``CLEAR``
+    of both ends, at less than ``ON_LINE``. Both parts of a segment led through v are shorter than it was, so
+    this comes to an end.
+    """
     along = b - a
     length2 = np.sum(along * along, axis=1)
     dot = np.sum((v - a) * along, axis=1)
     between = (dot > 0) & (dot < length2)
     # In doubles: a decision of tolerance, made once for the one shared segment, so nothing can disagree.
-    return np.asarray(between & (2.0 * cross(along, v - a).astype(np.float64) ** 2 <= length2))
+    miss2 = cross(along, v - a).astype(np.float64) ** 2
+    clear = np.minimum(dot, length2 - dot) >= CLEAR * np.sqrt(length2.astype(np.float64))
+    return np.asarray(between & (miss2 <= np.where(clear, ON_LINE**2, 0.5) * length2))
 
 
 def _cross_properly(a: Ints, b: Ints, c: Ints, d: Ints) -> NDArray[np.bool_]:

@@ -157,6 +157,69 @@ def test_a_slit_in_one_fragment_carries_no_segments() -> None:
     assert not np.any(mesh.segments.side)
 
 
+def slanted(seed: int) -> tuple[np.random.Generator, np.ndarray, float, Curve]:
+    """A square of side 4 at a random angle in the middle of 8 x 8 cells."""
+    rng = np.random.default_rng(seed)
+    centre, angle = rng.uniform(3.5, 4.5, 2), rng.uniform(0.0, 2.0 * np.pi)
+    return rng, centre, angle, rotated(2.0 * POLYGONS["square"], angle, centre).outer
+
+
+def relocated_cut(regions: tuple[Region, ...], *interfaces: Curve) -> CutMesh:
+    grid = square_grid(8)
+    moved = relocate(grid, [loop for region in regions for loop in region.loops] + list(interfaces)).grid
+    return double(moved, cut(moved, regions, interfaces, Lattice.of(grid)))
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_an_interface_that_ends_exactly_on_slanted_outlines_separates(seed: int) -> None:
+    rng, _, _, square = slanted(seed)
+    ends = square.at(np.array([0, 2]), rng.uniform(0.1, 0.9, 2))
+    assert relocated_cut((Region(square),), line(*map(tuple, ends))).component.max() == 1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_interfaces_that_start_exactly_on_a_round_hole_separate(seed: int) -> None:
+    """The chord of the hole's arc leaves the end of the interface in the material: the arc has a vertex there."""
+    rng, centre, _, square = slanted(seed)
+    hole = disc(*centre, rng.uniform(0.4, 1.3))
+    starts = hole.at(np.array([0, 1]), rng.uniform(0.1, 0.9, 2))
+    out = [centre + 5.0 * (start - centre) / np.hypot(*(start - centre)) for start in starts]
+    cuts = [line(tuple(a), tuple(b)) for a, b in zip(starts, out, strict=True)]
+    assert relocated_cut((Region(square, (hole,)),), *cuts).component.max() == 1
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_regions_that_share_a_part_of_a_slanted_side_do_not_cross(seed: int) -> None:
+    rng, centre, angle, square = slanted(seed)
+    other = np.array([[0.0, 2.0], [1.3, 2.0], [1.3, 3.0], [0.0, 3.0]]) + [rng.uniform(-1.9, 0.5), 0.0]
+    mesh = relocated_cut((Region(square), rotated(other, angle, centre)))
+    assert mesh.component.max() == 1
+    assert mesh.area.sum() == pytest.approx(17.3, rel=1e-7)  # the lattice: 2^-22 h on a perimeter of 20 h
+
+
+@pytest.mark.parametrize("radius", [3.54, 3.6, 4.0, 1e3])
+def test_a_curve_outside_the_grid_cuts_nothing(radius: float) -> None:
+    """A circle around the block (half diagonal 3.536): its chords must not sever the corners."""
+    mesh = cut_mesh(square_grid(5), (box(0, 0, 5, 5),), disc(2.5, 2.5, radius))
+    assert (len(mesh.elements), len(mesh.xy)) == (25, 36)
+
+
+def test_a_hole_beyond_the_chord_of_the_outline_is_refused_with_advice() -> None:
+    """Chords of 1 h on a radius of 2.5 h sag by 0.05 h: more than the 0.002 h between hole and outline."""
+    region = Region(disc(4.0, 4.0, 2.5), (disc(4.0 + 2.198 * np.cos(0.2), 4.0 + 2.198 * np.sin(0.2), 0.3),))
+    with pytest.raises(GeometryError, match="make the cells smaller"):
+        cut_mesh(square_grid(8), (region,))
+
+
+def test_nodes_of_no_cell_attract_nothing() -> None:
+    grid = square_grid(5)
+    lone = BackgroundGrid(np.vstack([grid.xy, [[2.3, 2.4]]]), grid.quads)
+    regions, cuts = (box(0, 0, 5, 5),), line((0, 2.4), (5, 2.45))
+    assert len(cut_mesh(lone, regions, cuts).segments.ends) == len(
+        cut_mesh(grid, regions, cuts).segments.ends
+    )
+
+
 @pytest.mark.parametrize(
     ("region", "fragment"),
     [
@@ -188,6 +251,15 @@ def test_cells_on_both_sides_twice_are_refused() -> None:
         ([[(0, 0), (8, 0)], [(8, 0), (0, 0)]], 2),  # the same segment, both ways
         ([[(0, 0), (100, 1)], [(50, 0), (50, -9)]], 3),  # a vertex half a unit off
         ([[(0, 0), (0, 0)], [(1, 1), (2, 2)]], 1),  # no length
+        ([[(0, 0), (99, 0)], [(50, 1), (50, 9)]], 3),  # an end off a line by rounding
+        (
+            [
+                [(25315704, 20973132), (24942076, 25103285)],
+                [(25865038, 20972913), (24995158, 24516502)],
+                [(25091506, 23451456), (24942076, 25103285)],
+            ],
+            6,
+        ),  # an end beside two nearly coinciding segments
     ],
 )
 def test_noding_of_degenerate_positions(segments: list, pieces: int) -> None:
