@@ -27,6 +27,7 @@ __all__ = [
     "json_schema",
     "load_case",
     "resolved_toml",
+    "variants",
 ]
 
 CASE_FILE = "case.toml"
@@ -88,7 +89,38 @@ def case_from_table(table: Mapping[str, Any], folder: Path = Path("."), name: st
     case = case.model_copy(update={"folder": (folder / case.folder).resolve()})
     if faults := cross_check(case):
         raise CaseError(faults)
+    variants(case)  # what is wrong with them is told before anything runs
     return case
+
+
+def variants(case: Case) -> dict[str, Case]:
+    """The variants of a case by name: its own keys, with those of the variant in their places.
+
+    Raises
+    ------
+    CaseError
+        With everything that is wrong with a variant.
+    """
+    base = case.model_dump(mode="json", exclude_none=True, exclude={"variant"})
+    found = {}
+    for name, changes in case.variant.items():
+        try:
+            if "variant" in changes:
+                raise CaseError("variant: a variant has none of its own")
+            found[name] = case_from_table(_merged(base, {"title": f"{case.title}: {name}", **changes}))
+        except CaseError as error:
+            raise CaseError([f"variant.{name}: {message}" for message in error.messages]) from error
+    return found
+
+
+def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with some keys changed; tables within it key by key."""
+    both = {
+        key: _merged(table[key], value)
+        for key, value in changes.items()
+        if isinstance(value, Mapping) and isinstance(table.get(key), Mapping)
+    }
+    return {**table, **changes, **both}
 
 
 def resolved_toml(case: Case) -> str:

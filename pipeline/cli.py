@@ -1,4 +1,4 @@
-"""The command line: ``phantomnode run | check | cases | new | schema``.
+"""The command line: ``phantomnode run | check | cases | new | report | schema``.
 
 Everything heavy is imported inside the commands, so that ``--help`` answers at once.
 """
@@ -65,7 +65,7 @@ def run(
         bool, Parameter(negative=(), show_default=False, help="Write over a finished run in --out.")
     ] = False,
 ) -> int:
-    """Run a case and write its results.
+    """Run a case, and its variants where it has some, and write the results.
 
     For example:
 
@@ -81,10 +81,11 @@ def run(
 
         loaded = load_case(case, set_)
         folder = results_folder(loaded, out, find_case(case), overwrite)
-        from phantomnode.pipeline.run import run as run_case  # the solver: only for a case that is sound
+        from phantomnode.pipeline.run import run_all  # the solver: only for a case that is sound
 
-        summary = run_case(loaded, folder, console=console, command=("phantomnode", *sys.argv[1:]))
-        return {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}[summary.status]
+        summaries = run_all(loaded, folder, console=console, command=("phantomnode", *sys.argv[1:]))
+        codes = {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}
+        return max(codes[summary.status] for summary in summaries)
 
     return _guarded(command)
 
@@ -164,6 +165,35 @@ def new(
             f"Wrote {folder / 'case.toml'} and {folder / 'disc.dxf'}.", highlight=False, soft_wrap=True
         )
         console.print(f"Run it:  phantomnode run {quote(name)}", highlight=False, soft_wrap=True)
+        return DONE
+
+    return _guarded(command)
+
+
+@app.command
+def report(
+    folders: Annotated[tuple[Path, ...], Parameter(name="DIR", help="Results folders of runs.")],
+    /,
+    *,
+    out: Annotated[
+        Path | None, Parameter(help="Folder for the pictures; the first DIR unless given.")
+    ] = None,
+) -> int:
+    """Draw the profiles of runs over each other (with those of their variants).
+
+    For example:
+
+    ```
+    phantomnode report results/split_block_wave
+    phantomnode report results/coarse results/fine --out results
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.report import report_runs
+
+        for picture in report_runs(folders, out or folders[0]):
+            console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
         return DONE
 
     return _guarded(command)

@@ -18,13 +18,33 @@ PROBES = 1001
 
 def cross_check(case: Case) -> list[str]:
     """Everything that is wrong between the tables of a case; each message starts with its key."""
-    return [*_names(case), *_references(case), *_surfaces(case), *_files(case), *_motions(case)]
+    faults = [*_names(case), *_references(case), *_surfaces(case), *_files(case), *_motions(case)]
+    return [*faults, *_methods(case), *_profiles(case)]
 
 
 def _names(case: Case) -> Iterator[str]:
     """Bodies and interfaces share the names of surfaces, so none may be both."""
     for name in case.interface.keys() & case.body.keys():
         yield f"interface.{name}: a body has this name too; rename one of the two"
+
+
+def _methods(case: Case) -> Iterator[str]:
+    """What classic X-FEM, there for the comparison of waves, does not do."""
+    if case.method == "xfem" and case.contact:
+        yield (
+            'method = "xfem": classic X-FEM runs without contact; take method = "phantom", or leave out '
+            f"[contact.{next(iter(case.contact))}]"
+        )
+
+
+def _profiles(case: Case) -> Iterator[str]:
+    """Times of profiles lie within the run."""
+    for name, profile in case.output.profile.items():
+        if profile.times[-1] > case.time.end:
+            yield (
+                f"output.profile.{name}.times: {profile.times[-1]:g} s lies beyond the end of the run, "
+                f"{case.time.end:g} s"
+            )
 
 
 def _references(case: Case) -> Iterator[str]:

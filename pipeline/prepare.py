@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +28,9 @@ from phantomnode.pipeline.motion import Channel, PrescribedMotion
 from phantomnode.pipeline.schema import Boundary as BoundaryTable
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.schema import Contact as ContactTable
+from phantomnode.pipeline.step import run_step
 from phantomnode.pipeline.surfaces import Surface, nodes_on_edges, surface
+from phantomnode.pipeline.xfem import MassMatrix, classic_xfem
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Model
 from phantomnode.solver.search import prepare_search
@@ -130,6 +131,8 @@ class Prepared:
         The step that the run takes.
     warnings : tuple of str
         Resolution limits and the like, to be shown and logged.
+    xfem : MassMatrix or None
+        The mass matrix of classic X-FEM, where the case asks for it.
     """
 
     case: Case
@@ -142,6 +145,7 @@ class Prepared:
     estimate: StepEstimate
     dt: float
     warnings: tuple[str, ...]
+    xfem: MassMatrix | None = None
 
 
 OVERLAP = 1e-6
@@ -171,12 +175,14 @@ def prepare(case: Case) -> Prepared:
     channel, motion, boundaries = _boundaries(case, cut, bodies)
     model = _model(case, cut, bodies, surfaces, contact, channel, len(motion.channels))
     model = model._replace(contact=model.contact._replace(offset=_offsets(case, cut, surfaces, model)))
-    estimate = stable_step(model, case.time.safety)
-    dt = _step(case, estimate)
+    estimate, xfem = stable_step(model, case.time.safety), None
+    if case.method == "xfem":
+        model, estimate, xfem = classic_xfem(case, bodies, model)
+    dt = run_step(case, estimate)
     velocity = np.vstack([np.tile(case.body[b.name].initial_velocity, (len(b.mesh.xy), 1)) for b in bodies])
     warnings = tuple(note for body in cut.values() for note in body.notes)
     pairs = _pairs(case, contact)
-    return Prepared(case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings)
+    return Prepared(case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings, xfem)
 
 
 def _ends(pair: ContactTable) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -384,16 +390,3 @@ def _offsets(
             )
         offsets[points] = depth
     return offsets
-
-
-def _step(case: Case, estimate: StepEstimate) -> float:
-    """The step of the run: an even part of its length, at most the stable or the given step."""
-    wanted = estimate.dt if isinstance(case.time.step, str) else case.time.step
-    limit = estimate.dt / case.time.safety
-    if wanted > limit and not case.time.force:
-        raise CaseError(
-            f"time.step: {wanted:g} s is unstable; the stable step is {limit:.4g} s (elements "
-            f'{2.0 / estimate.element_frequency:.4g} s, contact closed). Take step = "auto" or at most '
-            f"{estimate.dt:.4g}, or force = true to run all the same"
-        )
-    return case.time.end / math.ceil(case.time.end / wanted * (1.0 - 1e-12))

@@ -68,7 +68,7 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
         if handle is not None and hasattr(handle, "set_markersize"):
             handle.set_markersize(5.0)
     axes.set_title(prepared.case.title or prepared.case.name, fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def draw_result(prepared: Prepared, frame: Frame, path: Path, quantity: Quantity = "von_mises") -> None:
@@ -105,7 +105,7 @@ def draw_result(prepared: Prepared, frame: Frame, path: Path, quantity: Quantity
     extend: Literal["max", "neither"] = "max" if values.max() > high else "neither"
     figure.colorbar(painted, ax=axes, label=label, shrink=0.8, extend=extend)
     axes.set_title(f"{prepared.case.title or prepared.case.name}, t = {frame.time * 1e3:.4g} ms", fontsize=10)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _figure(prepared: Prepared) -> tuple[Figure, Axes]:
@@ -185,7 +185,7 @@ def _marker_size(figure: Figure, prepared: Prepared) -> float:
     return float(np.clip(0.2 * 72.0 * 8.0 * cell / width, 1.2, 4.0))
 
 
-def _save(figure: Figure, path: Path) -> None:
+def save(figure: Figure, path: Path) -> None:
     """Write the picture in one step."""
     from io import BytesIO
 

@@ -20,6 +20,7 @@ from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.history import History
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
 from phantomnode.pipeline.preflight import report, steps_of, text_report
+from phantomnode.pipeline.profile import ProfileWriter, draw_profiles, profile_steps, stations
 from phantomnode.pipeline.summary import Clock, Summary, highlights, summarize, verdict
 from phantomnode.pipeline.tally import Tally
 
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
 
 RESULTS = ("summary.json", "history.csv", "fields.pvd", "contact.pvd", "run.log", "peak.png")
-FRAMES = ("fields/fields_*.vtu", "contact/contact_*.vtu")
+FRAMES = ("fields/fields_*.vtu", "contact/contact_*.vtu", "profile.*")
+VARIANTS = "variants"
+"""Folder, within the results of a case, of the results of its variants."""
 
 
 def run(
@@ -70,10 +73,12 @@ def run(
     began, folder = time.perf_counter(), Path(out)
     _refuse_source_folder(case, folder)
     prepared = prepare(case)
+    lines = stations(prepared)
     _make_folder(case, folder)
     log = RunLog(folder / "run.log", prepared, command)
     with ExitStack() as closing:
         fields, observers, tally = _observers(prepared, folder, console, closing)
+        observers += [ProfileWriter(prepared, name, line, folder) for name, line in lines.items()]
         ending, stepping = march(prepared, observers)
         for observer in observers:
             observer.finish(ending)
@@ -88,6 +93,35 @@ def run(
     if console is not None:
         console.print(verdict(summary))
     return summary
+
+
+def run_all(
+    case: Case, out: Path | str, *, console: Console | None = None, command: Sequence[str] = ()
+) -> list[Summary]:
+    """Run a case and its variants, and draw their profiles over each other.
+
+    The variants go to ``variants/NAME`` in the results folder, the pictures, profile.NAME.png, to the folder
+    itself. A run that is interrupted is the last one. Parameters and errors are those of :func:`run`.
+
+    Returns
+    -------
+    list of Summary
+        Of the case, then of its variants.
+    """
+    from phantomnode.pipeline.case import variants
+
+    folder = Path(out)
+    runs: dict[str, Path] = {case.method: folder}
+    summaries = [run(case, folder, console=console, command=command)]
+    for name, variant in variants(case).items():
+        if summaries[-1].status == "interrupted":
+            break
+        runs[name] = folder / VARIANTS / name
+        summaries.append(run(variant, runs[name], console=console, command=command))
+    for picture in draw_profiles(runs, folder):
+        if console is not None:
+            console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
+    return summaries
 
 
 def check(case: Case, out: Path | str, *, console: Console | None = None) -> Prepared:
@@ -110,6 +144,7 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
     from phantomnode.pipeline.preview import draw_preview, preview_vtu
 
     prepared, folder = prepare(case), Path(out)
+    stations(prepared)  # a line that meets no body is told now
     _mkdir(folder)
     write_atomically(folder / "preview.vtu", preview_vtu(prepared))
     draw_preview(prepared, folder / "preview.png")
@@ -124,13 +159,18 @@ def march(prepared: Prepared, observers: Sequence[Observer]) -> tuple[Ending, fl
 
     Returns how it ended and the wall time of the steps alone, s.
     """
-    from phantomnode.solver.explicit import RunStopped, frames
+    from phantomnode.solver import explicit, xfem
 
     case, steps = prepared.case, steps_of(prepared)
     output = case.output
     samples = sample_steps(steps, output.history.count) | sample_steps(steps, output.fields.count)
+    samples |= {step for profile in output.profile.values() for step in profile_steps(prepared, profile)}
     guard, at = case.guard.energy_error, np.array(sorted(samples), dtype=np.int64)
-    stream = frames(prepared.model, prepared.velocity, prepared.dt, at, prepared.motion, guard)
+    arguments = prepared.velocity, prepared.dt, at, prepared.motion, guard
+    if prepared.xfem is None:
+        stream = explicit.frames(prepared.model, *arguments)
+    else:
+        stream = xfem.frames(prepared.model, prepared.xfem, *arguments)
     last: Frame | None = None
     stepping = 0.0
     with Interruption() as interruption:
@@ -147,7 +187,7 @@ def march(prepared: Prepared, observers: Sequence[Observer]) -> tuple[Ending, fl
                         observer.frame(frame)
                 if interruption.asked and frame.step < steps:
                     return _interrupted(last), stepping
-        except RunStopped as stop:
+        except explicit.RunStopped as stop:
             return Ending("stopped", stop.reason, stop.advice, stop.last_good), stepping
         except KeyboardInterrupt:
             return _interrupted(last), stepping

@@ -6,7 +6,7 @@ Everything is SI: metres, seconds, kilograms, pascals; angles in degrees.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -183,6 +183,20 @@ class Boundary(Table):
         return self
 
 
+class Xfem(Table):
+    """Classic X-FEM with Heaviside enrichment, for comparison (paper, section 2.2)."""
+
+    mass: Literal["consistent", "lumped", "block-diagonal"] = Field(
+        default="consistent",
+        description="mass matrix: consistent, lumped (row sums within the standard and within the enriched "
+        "block) or block-diagonal (2 x 2 a node, Menouillard et al. 2008)",
+    )
+    enrichment: Literal["heaviside", "shifted"] = Field(
+        default="heaviside",
+        description="H = -1 or +1 (Eq. 8), or shifted so that it vanishes at the nodes; matters to lumped mass",
+    )
+
+
 class Relocation(Table):
     """Grid nodes near an outline are moved onto it."""
 
@@ -205,11 +219,32 @@ class Frames(Table):
     count: Count = Field(description="number of times written after the start, at equal intervals")
 
 
+class Profile(Table):
+    """A quantity along a straight line, at some times."""
+
+    line: tuple[Vector, Vector] = Field(description="[[x0, y0], [x1, y1]] on the undeformed bodies, m")
+    quantity: Literal["stress_xx", "stress_yy", "stress_zz", "stress_xy", "von_mises", "J"] = Field(
+        description="what to take from the cells along the line"
+    )
+    times: tuple[Positive, ...] = Field(
+        min_length=1, description="s, increasing; the nearest steps are taken"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Profile:
+        if self.line[0] == self.line[1]:
+            raise ValueError("line has no length; give two points")
+        if any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
+            raise ValueError(f"times = {list(self.times)} must increase")
+        return self
+
+
 class Output(Table):
     """What to write."""
 
     fields: Frames = Field(default=Frames(count=60), description="fields for ParaView")
     history: Frames = Field(default=Frames(count=2000), description="rows of history.csv")
+    profile: dict[Name, Profile] = Field(default={}, description="quantities along lines, at some times")
 
 
 class Case(Table):
@@ -233,10 +268,17 @@ class Case(Table):
     interface: dict[Name, Interface] = Field(default={}, description="curves that split bodies")
     contact: dict[Name, Contact] = Field(default={}, description="contact pairs")
     boundary: dict[Name, Boundary] = Field(default={}, description="prescribed motions")
+    method: Literal["phantom", "xfem"] = Field(
+        default="phantom", description="phantom nodes, or classic X-FEM for comparison (without contact)"
+    )
+    xfem: Xfem = Field(default=Xfem(), description='{ mass = "consistent", enrichment = "heaviside" }')
     relocation: Relocation = Field(default=Relocation(), description="{ distance = 0.1 }")
     guard: Guard = Field(default=Guard(), description="{ energy_error = 0.05 }")
     output: Output = Field(
         default=Output(), description="{ fields = { count = 60 }, history = { count = 2000 } }"
+    )
+    variant: dict[Name, dict[str, Any]] = Field(
+        default={}, description="cases to run and to compare with this one: only the keys that differ"
     )
 
     def path(self, file: str) -> Path:

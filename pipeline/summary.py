@@ -206,6 +206,8 @@ def areas(body: Body) -> dict[str, float]:
 def step_set_by(prepared: Prepared) -> str:
     """What sets the time step, in words."""
     estimate = prepared.estimate
+    if prepared.xfem is not None:
+        return f"the assembled X-FEM system ({prepared.case.xfem.mass} mass)"
     element, contact = estimate.element_frequency, estimate.contact_frequency
     uncut = len(prepared.model.elements.nodes)
     kind, number = (

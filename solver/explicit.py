@@ -209,16 +209,16 @@ def frames(
             steps = min(CHUNK, int(target) - done)
             increments = np.ascontiguousarray(motion.increments(done, steps, dt), dtype=np.float64)
             if advance(model, state, search, dt, increments) != DONE:
-                raise _broken(model, state, last)
+                raise broken(model, state, last)
             done += steps
             frame = _frame(model, state, dt, last)
             if frame.step >= SETTLED and not frame.energy_error <= guard:
-                raise _unbalanced(frame, guard, last)
+                raise unbalanced(frame, guard, last)
             last = frame
         yield last
 
 
-def _broken(model: Model, state: State, last: Frame) -> RunStopped:
+def broken(model: Model, state: State, last: Frame) -> RunStopped:
     """The elements are inverted or not finite: say which, where and when."""
     j = np.concatenate(
         [element_stress(model.elements, state.u)[2], cut_stress(model.cut_elements, state.u)[2]]
@@ -237,7 +237,7 @@ def _broken(model: Model, state: State, last: Frame) -> RunStopped:
     )
 
 
-def _unbalanced(frame: Frame, guard: float, last: Frame) -> RunStopped:
+def unbalanced(frame: Frame, guard: float, last: Frame) -> RunStopped:
     """The energy balance is lost."""
     return RunStopped(
         f"the energy error is {frame.energy_error:.3g} of the largest energy (allowed: {guard:.3g}) "

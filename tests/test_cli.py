@@ -42,18 +42,21 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Calls:
     """Stands in for the solver: notes each run and its folder, and leaves what a finished run leaves."""
     calls: Calls = []
 
-    def run(
+    def run_all(
         case: Any, out: Path, *, console: object = None, command: tuple[str, ...] = ()
-    ) -> SimpleNamespace:
+    ) -> list[SimpleNamespace]:
         calls.append((case.name, out))
         out.mkdir(parents=True, exist_ok=True)
         (out / "summary.json").write_text("{}")
-        return SimpleNamespace(status=case.title if case.title in ("stopped", "interrupted") else "done")
+        status = case.title if case.title in ("stopped", "interrupted") else "done"
+        return [SimpleNamespace(status="done"), SimpleNamespace(status=status)]
 
     def check(case: Any, out: Path, *, console: object = None) -> None:
         calls.append((f"check {case.name}", out))
 
-    monkeypatch.setitem(sys.modules, "phantomnode.pipeline.run", SimpleNamespace(run=run, check=check))
+    monkeypatch.setitem(
+        sys.modules, "phantomnode.pipeline.run", SimpleNamespace(run_all=run_all, check=check)
+    )
     return calls
 
 
@@ -63,7 +66,7 @@ def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     def run(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setitem(sys.modules, "phantomnode.pipeline.run", SimpleNamespace(run=run, check=run))
+    monkeypatch.setitem(sys.modules, "phantomnode.pipeline.run", SimpleNamespace(run_all=run, check=run))
 
 
 def test_help_answers_within_a_second_and_shows_every_command() -> None:
@@ -71,7 +74,7 @@ def test_help_answers_within_a_second_and_shows_every_command() -> None:
     shown = subprocess.run([sys.executable, "-m", "phantomnode", "--help"], capture_output=True, text=True)
     assert time.perf_counter() - began < 1.0  # asked for by users; 0.2 s when measured
     assert shown.returncode == 0
-    for word in ("run", "check", "cases", "new", "schema", "--version", "Exit codes"):
+    for word in ("run", "check", "cases", "new", "report", "schema", "--version", "Exit codes"):
         assert word in shown.stdout
 
 
