@@ -111,7 +111,8 @@ def run_all(
     from phantomnode.pipeline.case import variants
 
     folder = Path(out)
-    runs: dict[str, Path] = {case.method: folder}
+    label = case.method if case.method not in case.variant else case.name
+    runs: dict[str, Path] = {label: folder}
     summaries = [run(case, folder, console=console, command=command)]
     for name, variant in variants(case).items():
         if summaries[-1].status == "interrupted":

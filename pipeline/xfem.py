@@ -86,7 +86,8 @@ def classic_xfem(
     """
     mass = xfem_mass(case.xfem, bodies, model)
     nodal = mass.momentum(np.ones((len(model.x), 2)))[:, 0]
-    model = model._replace(mass=nodal, load=nodal[:, None] * np.array(case.gravity))
+    gravity = (nodal - model.mass)[:, None] * np.array(case.gravity)
+    model = model._replace(mass=nodal, load=model.load + gravity)
     return model, stable_xfem_step(model, mass, case.time.safety), mass
 
 
