@@ -1,4 +1,4 @@
-"""Cut meshes become the arrays that kernels see."""
+"""Surfaces of contact pairs become the arrays that kernels see."""
 
 from __future__ import annotations
 
@@ -8,14 +8,10 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.geometry.bilinear import gradients, shape, to_local
-from phantomnode.geometry.doubling import CutMesh
+from phantomnode.geometry.bilinear import shape, to_local
 from phantomnode.pipeline.bodies import CutBody
-from phantomnode.pipeline.schema import Material
 from phantomnode.pipeline.surfaces import Surface, closed_surface
-from phantomnode.solver.cut_elements import fragment_elements
-from phantomnode.solver.model import Contact, CutElements, Elements
-from phantomnode.solver.q4 import one_point_elements
+from phantomnode.solver.model import Contact
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -25,56 +21,6 @@ POINTS_PER_SEGMENT = 2
 """Gauss points on each slave segment (paper, section 4.1)."""
 
 GAUSS = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
-
-TRIANGLE_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6.0
-"""Three points a triangle, exact for quadratic functions, with a third of the area each."""
-
-
-def lame_constants(material: Material) -> tuple[float, float]:
-    """Lame's lambda and mu, Pa."""
-    shear = material.E / (2.0 * (1.0 + material.nu))
-    return 2.0 * shear * material.nu / (1.0 - 2.0 * material.nu), shear
-
-
-def uncut_elements(mesh: CutMesh, first_node: int, material: Material, kappa: float) -> Elements:
-    """The uncut elements of one body, in the order of the mesh."""
-    nodes = mesh.elements[~mesh.cut]
-    lame, shear = lame_constants(material)
-    return one_point_elements(nodes + first_node, mesh.xy[nodes], lame, shear, material.rho, kappa)
-
-
-def cut_elements(mesh: CutMesh, first_node: int, material: Material) -> CutElements:
-    """The cut elements of one body, with three integration points on each triangle of the fragment."""
-    elements = np.flatnonzero(mesh.cut)
-    per_element = np.bincount(mesh.triangle_element, minlength=len(mesh.elements))[elements]
-    points = np.einsum("pk,tka->tpa", TRIANGLE_POINTS, mesh.triangles).reshape(-1, 2)
-    corners = np.repeat(mesh.xy[mesh.elements[mesh.triangle_element]], 3, axis=0)
-    side1, side2 = np.moveaxis(mesh.triangles[:, 1:] - mesh.triangles[:, :1], 1, 0)
-    area = 0.5 * (side1[:, 0] * side2[:, 1] - side1[:, 1] * side2[:, 0])
-    lame, shear = lame_constants(material)
-    return fragment_elements(
-        mesh.elements[elements] + first_node,
-        np.concatenate([[0], np.cumsum(3 * per_element)]),
-        gradients(corners, to_local(corners, points)),
-        np.repeat(area / 3.0, 3),
-        lame,
-        shear,
-        material.rho,
-    )
-
-
-def joined_elements(parts: list[Elements]) -> Elements:
-    """The lists of several bodies behind each other."""
-    return Elements(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*parts, strict=True)))
-
-
-def joined_cut_elements(parts: list[CutElements]) -> CutElements:
-    """The lists of several bodies behind each other."""
-    joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    offsets = np.cumsum([0, *(len(p.weight) for p in parts[:-1])])
-    ends = [p.first[1:] + offset for p, offset in zip(parts, offsets, strict=True)]
-    result = CutElements(*(np.ascontiguousarray(column) for column in joined))
-    return result._replace(first=np.concatenate([[0], *ends]).astype(np.int64))
 
 
 @dataclass(frozen=True)

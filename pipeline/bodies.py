@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.cut import cut
 from phantomnode.geometry.doubling import CutMesh, double
 from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.fans import centroid_fans
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.geometry.noding import Lattice
 from phantomnode.geometry.readers import read_geometry, read_quads
@@ -88,6 +89,9 @@ def cut_body(case: Case, name: str) -> CutBody:
         loops = [loop for region in regions for loop in region.loops]
         relocation = relocate(grid, [*loops, *curves], case.relocation.distance)
         mesh = double(relocation.grid, cut(relocation.grid, regions, curves, Lattice.of(grid)))
+    if case.integration.cut == 1:
+        triangles, owner = centroid_fans(mesh.triangles, mesh.triangle_element)
+        mesh = replace(mesh, triangles=triangles, triangle_element=owner)
     notes = tuple(
         f"body {name}: {note}" for note in (*notes, *mesh.notes, *_resolution(mesh, len(loops), interfaces))
     )

@@ -88,9 +88,11 @@ class ClippedBodies:
     def per_cell(self, uncut: Floats, points: Floats) -> Floats:
         """(q + t, ...) One value a cell from uncut elements, (q, ...), and integration points, (3 t, ...).
 
-        A triangle takes the mean of its three points, which carry equal weights.
+        With one point a triangle there are t rows of points. A triangle takes the mean of its points, which
+        carry equal weights.
         """
-        means = points.reshape(len(self.triangles), 3, *points.shape[1:]).mean(axis=1)
+        each = max(len(points) // max(len(self.triangles), 1), 1)
+        means = points.reshape(len(self.triangles), each, *points.shape[1:]).mean(axis=1)
         return np.concatenate([uncut, means])
 
     def outline(self) -> Ints:

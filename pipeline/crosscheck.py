@@ -8,7 +8,7 @@ import numpy as np
 
 from phantomnode.pipeline.expressions import ExpressionError, time_function
 from phantomnode.pipeline.messages import listed, shown, suggestion
-from phantomnode.pipeline.schema import Boundary, BoxOn, Case
+from phantomnode.pipeline.schema import Boundary, BoxOn, Case, Hourglass
 from phantomnode.pipeline.shapes import FileGrid, MappedGrid
 from phantomnode.pipeline.values import Table
 
@@ -35,6 +35,17 @@ def _methods(case: Case) -> Iterator[str]:
             'method = "xfem": classic X-FEM runs without contact; take method = "phantom", or leave out '
             f"[contact.{next(iter(case.contact))}]"
         )
+    others = {
+        'integration.uncut = "full"': case.integration.uncut == "full",
+        "integration.alpha": case.integration.alpha > 1.0,
+        "damping.mass": case.damping.mass > 0.0,
+        "damping.bulk_viscosity": any(case.damping.bulk_viscosity.model_dump().values()),
+        "hourglass.viscosity": isinstance(case.hourglass, Hourglass) and case.hourglass.viscosity > 0.0,
+        "mass_scaling": case.mass_scaling is not None,
+    }
+    if case.method == "xfem" and any(others.values()):
+        given = listed(key for key, used in others.items() if used)
+        yield f'method = "xfem": classic X-FEM runs without {given}; take method = "phantom", or leave it out'
 
 
 def _profiles(case: Case) -> Iterator[str]:

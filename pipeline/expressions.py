@@ -48,6 +48,14 @@ def _step(x: Any) -> Any:
     return np.where(np.asarray(x) >= 0.0, 1.0, 0.0)
 
 
+def _ramp(t: Any, start: Any, end: Any) -> Any:
+    """The smooth step of fifth order: 0 up to the start, 1 from the end on, no velocity or acceleration at either."""
+    if not np.all(np.asarray(end) > np.asarray(start)):
+        raise ValueError("ramp(t, t0, t1) rises from t0 to t1, so that t1 must be larger than t0")
+    s = np.clip((np.asarray(t) - start) / (np.asarray(end) - start), 0.0, 1.0)
+    return s * s * s * (10.0 + s * (6.0 * s - 15.0))
+
+
 FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int | None]] = {
     "sin": (np.sin, 1, 1),
     "cos": (np.cos, 1, 1),
@@ -65,6 +73,7 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int, int | None]] = {
     "min": (lambda *values: reduce(np.minimum, values), 2, None),
     "max": (lambda *values: reduce(np.maximum, values), 2, None),
     "step": (_step, 1, 1),
+    "ramp": (_ramp, 3, 3),
     "where": (np.where, 3, 3),
 }
 """What an expression may call: the function, the least and the largest number of arguments."""

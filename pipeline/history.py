@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
 
 ENERGIES = ("kinetic", "internal", "hourglass", "contact", "external_work")
+DISSIPATED = ("friction", "damping")
 
 
 class History(Sampled):
@@ -23,7 +24,8 @@ class History(Sampled):
     Numbers are written with ``repr``: read back, they are the same float64 to the bit. SI units, forces and
     energies per metre of thickness. ``contact.NAME.fx`` is the force on the slave, ``reaction.NAME.fx`` the
     force that a boundary exerts (0 in a direction that it leaves free), ``body.NAME.ux`` the displacement of
-    the centre of mass; the impulses ``contact.NAME.ix`` since the start close the line.
+    the centre of mass; the impulses ``contact.NAME.ix`` since the start and the energies dissipated so far
+    close the line.
 
     Parameters
     ----------
@@ -61,6 +63,7 @@ def columns(prepared: Prepared) -> list[str]:
         *(f"reaction.{boundary.name}.f{axis}" for boundary in prepared.boundaries for axis in "xy"),
         *(f"body.{body.name}.{value}" for body in prepared.bodies for value in ("ux", "uy", "vx", "vy")),
         *(f"contact.{pair.name}.i{axis}" for pair in prepared.pairs for axis in "xy"),
+        *DISSIPATED,
     ]
 
 
@@ -76,6 +79,7 @@ def row(prepared: Prepared, frame: Frame) -> list[float]:
         values.extend(centre(mass, frame.u[body.nodes]))
         values.extend(centre(mass, frame.v[body.nodes]))
     values.extend(frame.pair_impulse.ravel())
+    values.extend(getattr(energies, name) for name in DISSIPATED)
     return values
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phantomnode.pipeline.prepare import Body, Prepared
+from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.summary import areas, doubled_cells, step_set_by
 
 if TYPE_CHECKING:
@@ -81,6 +82,9 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     yield row("area as cut", "m^2", [f"{areas(body)['cut']:.8g}" for body in bodies])
     yield row("difference", "", [f"{areas(b)['cut'] / areas(b)['cad'] - 1.0:.1e}" for b in bodies])
     yield row("mass", "kg/m", [f"{prepared.model.mass[body.nodes].sum():.6g}" for body in bodies])
+    added = [added_mass(body, prepared.model) for body in bodies]
+    if any(added):
+        yield row("of it added", "kg/m", [f"{mass:.3g}" for mass in added])
     yield row("grid cells", "", [str(len(body.grid.quads)) for body in bodies])
     yield row("elements", "", [str(len(body.mesh.elements)) for body in bodies])
     yield row("cut", "", [str(np.count_nonzero(body.mesh.cut)) for body in bodies])

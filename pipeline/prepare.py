@@ -14,17 +14,15 @@ from phantomnode.geometry.levelset import LevelSet
 from phantomnode.pipeline.assembly import (
     POINTS_PER_SEGMENT,
     PairSurfaces,
-    cut_elements,
     joined_contact,
-    joined_cut_elements,
-    joined_elements,
     pair_surfaces,
-    uncut_elements,
 )
 from phantomnode.pipeline.bodies import CutBody, at, cut_body
+from phantomnode.pipeline.elements import element_lists
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.expressions import time_function
 from phantomnode.pipeline.motion import Channel, PrescribedMotion
+from phantomnode.pipeline.scaling import heavy_bodies, largest_jump, scaled
 from phantomnode.pipeline.schema import Boundary as BoundaryTable
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.schema import Contact as ContactTable
@@ -32,6 +30,7 @@ from phantomnode.pipeline.step import run_step
 from phantomnode.pipeline.surfaces import Surface, nodes_on_edges, surface
 from phantomnode.pipeline.xfem import MassMatrix, classic_xfem
 from phantomnode.solver.leapfrog import initial_state
+from phantomnode.solver.mass_scaling import lumped_mass
 from phantomnode.solver.model import Model
 from phantomnode.solver.search import prepare_search
 from phantomnode.solver.timestep import StepEstimate, stable_step
@@ -175,12 +174,14 @@ def prepare(case: Case) -> Prepared:
     channel, motion, boundaries = _boundaries(case, cut, bodies)
     model = _model(case, cut, bodies, surfaces, contact, channel, len(motion.channels))
     model = model._replace(contact=model.contact._replace(offset=_offsets(case, cut, surfaces, model)))
-    estimate, xfem = stable_step(model, case.time.safety), None
+    jump = largest_jump(case, motion)
+    model = scaled(case, model, jump)
+    estimate, xfem = stable_step(model, case.time.safety, jump), None
     if case.method == "xfem":
         model, estimate, xfem = classic_xfem(case, bodies, model)
     dt = run_step(case, estimate)
     velocity = np.vstack([np.tile(case.body[b.name].initial_velocity, (len(b.mesh.xy), 1)) for b in bodies])
-    warnings = tuple(note for body in cut.values() for note in body.notes)
+    warnings = (*(note for body in cut.values() for note in body.notes), *heavy_bodies(bodies, model))
     pairs = _pairs(case, contact)
     return Prepared(case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings, xfem)
 
@@ -224,26 +225,20 @@ def _model(
     channels: int,
 ) -> Model:
     """The arrays of all bodies behind each other, with a quarter of each element's mass on its nodes."""
-    materials = {body.name: case.material[case.body[body.name].material] for body in bodies}
-    elements = joined_elements(
-        [uncut_elements(b.mesh, b.nodes.start, materials[b.name], case.hourglass) for b in bodies]
-    )
-    fragments = joined_cut_elements([cut_elements(b.mesh, b.nodes.start, materials[b.name]) for b in bodies])
-    x = np.vstack([body.mesh.xy for body in bodies])
-    mass = np.zeros(len(x))
-    np.add.at(mass, elements.nodes, 0.25 * elements.mass[:, None])
-    np.add.at(mass, fragments.nodes, 0.25 * fragments.mass[:, None])
+    lists = element_lists(case, bodies)
     penalty = [_penalty(case, name, cut, *pair) for name, pair in surfaces.items()]
     reach = [max(cut[surface.body].grid.cell_size for surface in pair) for pair in surfaces.values()]
     return Model(
-        x=x,
-        mass=mass,
-        load=mass[:, None] * np.array(case.gravity),
+        x=lists.x,
+        mass=lumped_mass(len(lists.x), lists.elements, lists.cut_elements),
+        load=lists.load,
         channel=channel,
         channels=channels,
-        elements=elements,
-        cut_elements=fragments,
+        elements=lists.elements,
+        cut_elements=lists.cut_elements,
         contact=joined_contact(contact, np.array(penalty, dtype=float), np.array(reach, dtype=float)),
+        full=lists.full,
+        damping=lists.damping,
     )
 
 

@@ -205,6 +205,65 @@ class Relocation(Table):
     )
 
 
+Fraction = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
+Part = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0)]
+
+
+class Hourglass(Table):
+    """What holds the hourglass modes of uncut elements with one point."""
+
+    stiffness: Fraction = Field(
+        default=0.0, description="Flanagan-Belytschko stiffness parameter, 0.05 to 0.15"
+    )
+    viscosity: Fraction = Field(
+        default=0.0, description="Flanagan-Belytschko viscosity, part of critical damping, 0.03 to 0.1"
+    )
+
+    @model_validator(mode="after")
+    def _some(self) -> Hourglass:
+        if not self.model_fields_set:
+            raise ValueError("stiffness or viscosity must be given (hourglass = 0.1 is stiffness = 0.1)")
+        return self
+
+
+class Integration(Table):
+    """How elements are integrated."""
+
+    uncut: Literal["one-point", "full"] = Field(
+        default="one-point",
+        description='"one-point" with hourglass control, or "full": 2 x 2 Gauss points without it',
+    )
+    cut: Literal[3, 1] = Field(
+        default=3, description="points on each triangle of a fragment; 1 takes a fan about the centroid"
+    )
+    alpha: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0)] = Field(
+        default=1.0, description="factor on internal force and mass of small cut elements (Eq. 30); 1 is off"
+    )
+    alpha_below: Fraction = Field(default=0.1, description="fraction of its cell below which one is small")
+
+
+class BulkViscosity(Table):
+    """A pressure against fast compression, rho L r (linear c_d + quadratic^2 L r) at the rate r = -dJ/dt."""
+
+    linear: Part = Field(default=0.0, description="spreads fronts over some cells; 0.06 is usual")
+    quadratic: Part = Field(default=0.0, description="for shocks; 1.2 is usual")
+
+
+class Damping(Table):
+    """What takes energy out; all of it is in the balance."""
+
+    mass: Part = Field(default=0.0, description="alpha_M of the force -alpha_M m v, 1/s")
+    bulk_viscosity: BulkViscosity = Field(
+        default=BulkViscosity(), description="{ linear = 0.06, quadratic = 1.2 }; off unless given"
+    )
+
+
+class MassScaling(Table):
+    """Mass is added to the elements that would not bear the wanted step."""
+
+    step: Positive = Field(description="the step that is to be stable, s, the safety included")
+
+
 class Guard(Table):
     """When to stop a run that goes wrong."""
 
@@ -259,9 +318,16 @@ class Case(Table):
     )
     time: Time = Field(description="{ end = seconds }")
     gravity: Vector = Field(default=(0.0, 0.0), description="[gx, gy], m/s^2")
-    hourglass: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = Field(
-        default=0.1, description="hourglass stiffness of the uncut elements, 0.05 to 0.15"
+    hourglass: Annotated[
+        Annotated[Fraction, Tag("=number")] | Annotated[Hourglass, Tag("=table")],
+        Discriminator(kind_of_value),
+    ] = Field(
+        default=0.1,
+        description="stiffness of uncut elements, 0.05 to 0.15, or { stiffness = 0.1 } or { viscosity = 0.05 }",
     )
+    integration: Integration = Field(default=Integration(), description='{ uncut = "one-point", cut = 3 }')
+    damping: Damping = Field(default=Damping(), description="{ mass = 1/s }; bulk_viscosity")
+    mass_scaling: MassScaling | None = Field(default=None, description="{ step = seconds }")
     material: dict[Name, Material] = Field(min_length=1, description="one table for each material")
     grid: dict[Name, Grid] = Field(default={}, description="grids that several bodies share")
     body: dict[Name, Body] = Field(min_length=1, description="one table for each body")

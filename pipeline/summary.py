@@ -14,7 +14,8 @@ from phantomnode import __version__
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Prepared
-from phantomnode.pipeline.tally import Tally
+from phantomnode.pipeline.scaling import added_mass
+from phantomnode.pipeline.tally import Tally, small_elements
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -105,6 +106,7 @@ def summarize(prepared: Prepared, tally: Tally, ending: Ending, clock: Clock, pa
         "counts": counts,
         "area": {body.name: areas(body) for body in prepared.bodies},
         "mass": {body.name: float(prepared.model.mass[body.nodes].sum()) for body in prepared.bodies},
+        "added_mass": {body.name: added_mass(body, prepared.model) for body in prepared.bodies},
         "warnings": list(prepared.warnings),
     }
     checks: tuple[Check, ...] = ()
@@ -127,6 +129,7 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
         "energy_error_max": tally.energy_error_max,
         "hourglass_energy_max": tally.hourglass_max,
         "internal_energy_max": tally.internal_max,
+        "alpha": {"elements": len(small_elements(prepared)), "energy_max": tally.alpha_energy_max},
         "smallest_J": tally.smallest_j,
         "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
         "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},

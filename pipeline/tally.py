@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phantomnode.pipeline.history import centre
 from phantomnode.pipeline.observer import Ending
@@ -31,8 +32,8 @@ class Phase(NamedTuple):
 class Momentum(NamedTuple):
     """Linear momentum of a body, kg m/s per metre: (2,) each.
 
-    impulse: of its contact pairs and of gravity, over the run; error: |change - impulse| over the larger of
-    the two, in the directions without a prescribed motion; None where both directions have one.
+    impulse: of its contact pairs, of gravity and of mass damping, over the run; error: |change - impulse| over
+    the larger of the two, in the directions without a prescribed motion; None where both directions have one.
     """
 
     start: Floats
@@ -52,6 +53,7 @@ class Tally:
         self._unbalanced = 0.0
         self.hourglass_max = 0.0
         self.internal_max = 0.0
+        self.alpha_energy_max = 0.0
         self.speed_max = 0.0
         self.smallest_j = np.inf
         self.penetration = np.zeros(len(prepared.pairs))
@@ -71,6 +73,7 @@ class Tally:
         self._unbalanced = max(self._unbalanced, frame.energy_error * frame.largest_energy)
         self.hourglass_max = max(self.hourglass_max, frame.energies.hourglass)
         self.internal_max = max(self.internal_max, frame.energies.internal)
+        self.alpha_energy_max = max(self.alpha_energy_max, alpha_energy(self._prepared, frame.u))
         self.speed_max = max(self.speed_max, float(np.max(np.hypot(*frame.v.T), initial=0.0)))
         self.smallest_j = min(self.smallest_j, frame.smallest_j)
         for k, pair in enumerate(self._prepared.pairs):
@@ -127,6 +130,9 @@ class Tally:
             slave, master = pair_bodies(self._prepared, k)
             during = self.last.pair_impulse[k] - self.first.pair_impulse[k]
             impulse = impulse + during * (int(slave is body) - int(master is body))
+        if model.damping.mass > 0.0:
+            moved = mass @ (self.last.u[body.nodes] - self.first.u[body.nodes])
+            impulse = impulse - model.damping.mass * moved
         free = np.all(model.channel[body.nodes] < 0, axis=0)
         error = None
         if np.any(free):
@@ -141,6 +147,35 @@ class Tally:
         assert self.first is not None and self.last is not None
         mass = self._prepared.model.mass[body.nodes]
         return centre(mass, self.first.v[body.nodes]), centre(mass, self.last.v[body.nodes])
+
+
+def alpha_energy(prepared: Prepared, u: Floats) -> float:
+    """Internal energy, J/m, that exists by the factor alpha of small cut elements (Eq. 30) only."""
+    from phantomnode.solver.cut_elements import cut_energy
+
+    cut, small = prepared.model.cut_elements, small_elements(prepared)
+    if len(small) == 0:
+        return 0.0
+    points = [np.arange(*cut.first[e : e + 2]) for e in small]
+    part = cut._replace(
+        nodes=cut.nodes[small],
+        first=np.cumsum([0, *(len(p) for p in points)]),
+        gradient=cut.gradient[np.concatenate(points)],
+        weight=cut.weight[np.concatenate(points)],
+        lame=cut.lame[small],
+        shear=cut.shear[small],
+        mass=cut.mass[small],
+    )
+    return (1.0 - 1.0 / prepared.case.integration.alpha) * float(cut_energy(part, u))
+
+
+def small_elements(prepared: Prepared) -> NDArray[np.intp]:
+    """Numbers, among the cut elements of the model, of those to which alpha applies."""
+    table = prepared.case.integration
+    if table.alpha == 1.0:
+        return np.zeros(0, dtype=np.intp)
+    fraction = np.concatenate([body.mesh.fraction[body.mesh.cut] for body in prepared.bodies])
+    return np.flatnonzero(fraction < table.alpha_below)
 
 
 def pair_bodies(prepared: Prepared, pair: int) -> tuple[Body, Body]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from phantomnode.solver.contact import contact_energy
 from phantomnode.solver.cut_elements import cut_energy
+from phantomnode.solver.damping import damping_force, dissipated, velocity
 from phantomnode.solver.leapfrog import DONE, advance, initial_state
 from phantomnode.solver.model import NOWHERE, Energies, Model, State
 from phantomnode.solver.q4 import element_energies
@@ -42,10 +43,10 @@ class Frame(NamedTuple):
     """The state at one time.
 
     time, s; step; u (n, 2), m; v (n, 2), m/s; energies; energy_error: |kinetic + internal + hourglass +
-    contact + friction - external work - what there was at time 0| over the largest energy seen so far; reaction
-    (channels,) force that each prescribed motion exerts, N/m; pair_force (k, 2) force on the slave of each
-    pair, N/m; pair_impulse (k, 2) its time integral, N s/m; pair_peak (k,) its largest norm so far, N/m;
-    gap (g,) penetration or -1e300 where open, m; normal (g, 2) direction of the force on the slave;
+    contact + friction + damping - external work - what there was at time 0| over the largest energy seen so
+    far; reaction (channels,) force that each prescribed motion exerts, N/m; pair_force (k, 2) force on the
+    slave of each pair, N/m; pair_impulse (k, 2) its time integral, N s/m; pair_peak (k,) its largest norm so
+    far, N/m; gap (g,) penetration or -1e300 where open, m; normal (g, 2) direction of the force on the slave;
     tangential (g, 2) friction force on each slave point, N/m, empty without friction;
     smallest_j: smallest J = det F; state, initial_energy and largest_energy: what a run needs to be resumed
     from here.
@@ -91,23 +92,25 @@ class RunStopped(RuntimeError):
 def energies(model: Model, state: State, dt: float) -> Energies:
     """Energies at the time of the displacement, J/m; exact stored-energy functions.
 
-    The kinetic energy is that of :func:`velocity`; the work done so far is that of reactions and loads.
+    The kinetic energy is that of the velocity there; the work done so far is that of reactions and loads.
     """
-    v, reaction = velocity(state, dt), _nodal_reaction(model, state)
+    v = velocity(model, state, dt)
+    reaction = _nodal_reaction(model, state, v)
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     last_half_step = half * 0.5 * float(np.sum(reaction * (state.v + v)))
-    internal, hourglass = element_energies(model.elements, state.u)
+    internal, hourglass = _uncut_energies(model, state.u)
     return Energies(
         kinetic=0.5 * float(np.sum(model.mass[:, None] * v**2)),
         internal=internal + cut_energy(model.cut_elements, state.u),
         hourglass=hourglass,
         contact=contact_energy(model.contact, state.gap) + float(state.stick[0]),
         external_work=float(state.external[0]) + last_half_step + float(np.sum(model.load * state.u)),
-        friction=_dissipated(state, v, half),
+        friction=_rubbed(state, v, half),
+        damping=dissipated(model, state, v, half),
     )
 
 
-def _dissipated(state: State, v: Floats, half: float) -> float:
+def _rubbed(state: State, v: Floats, half: float) -> float:
     """What slip has turned into heat so far, J/m: what the friction forces took and the springs do not hold."""
     if len(state.friction_force) == 0:
         return 0.0
@@ -115,33 +118,37 @@ def _dissipated(state: State, v: Floats, half: float) -> float:
     return -(float(state.slip[0]) + last_half_step) - float(state.stick[0])
 
 
-def velocity(state: State, dt: float) -> Floats:
-    """(n, 2) Velocity at the time of the displacement, v(n) = v(n-1/2) + dt/2 a(n), m/s."""
-    return state.v.copy() if state.clock[1] == 0.0 else state.v + 0.5 * dt * state.a
+def _uncut_energies(model: Model, u: Floats) -> tuple[float, float]:
+    """Internal and hourglass energy of the uncut elements, J/m."""
+    if len(model.full.weight):
+        return cut_energy(model.full, u), 0.0
+    internal, hourglass = element_energies(model.elements, u)
+    return internal, hourglass
 
 
-def _nodal_reaction(model: Model, state: State) -> Floats:
+def _nodal_reaction(model: Model, state: State, v: Floats) -> Floats:
     """(n, 2) What the prescribed motion exerts on each degree of freedom, N/m; zero on free ones."""
-    return np.where(model.channel >= 0, model.mass[:, None] * state.a - state.force, 0.0)
+    forces = state.force + damping_force(model, v) if model.damping.mass > 0.0 else state.force
+    return np.where(model.channel >= 0, model.mass[:, None] * state.a - forces, 0.0)
 
 
 def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame:
     """The frame of a state; ``before`` is the last one, from which the balance goes on."""
     now = energies(model, state, dt)
     stored = now.internal + now.hourglass + now.contact
-    total = now.kinetic + stored + now.friction - now.external_work
+    total = now.kinetic + stored + now.friction + now.damping - now.external_work
     initial = before.initial_energy if before else total
     largest = max(now.kinetic, stored, abs(now.external_work), before.largest_energy if before else 0.0)
-    held = model.channel >= 0
+    held, v = model.channel >= 0, velocity(model, state, dt)
     reaction = np.zeros(model.channels)
-    np.add.at(reaction, model.channel[held], _nodal_reaction(model, state)[held])
+    np.add.at(reaction, model.channel[held], _nodal_reaction(model, state, v)[held])
     copy = State._make(field.copy() for field in state)
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     return Frame(
         time=float(state.clock[0]),
         step=int(state.clock[1]),
         u=copy.u,
-        v=velocity(state, dt),
+        v=v,
         energies=now,
         energy_error=abs(total - initial) / largest if largest > 0.0 else 0.0,
         reaction=reaction,
@@ -220,12 +227,16 @@ def frames(
 
 def broken(model: Model, state: State, last: Frame) -> RunStopped:
     """The elements are inverted or not finite: say which, where and when."""
-    j = np.concatenate(
-        [element_stress(model.elements, state.u)[2], cut_stress(model.cut_elements, state.u)[2]]
+    m = len(model.elements.volume)
+    uncut = (
+        (cut_stress(model.full, state.u)[2], np.diff(model.full.first))
+        if len(model.full.weight)
+        else (element_stress(model.elements, state.u)[2], np.ones(m, dtype=np.int64))
     )
+    cut = cut_stress(model.cut_elements, state.u)[2], np.diff(model.cut_elements.first)
+    j, points = (np.concatenate(pair) for pair in zip(uncut, cut, strict=True))
     worst = int(np.argmin(np.where(np.isfinite(j), j, -np.inf)))
-    m, first = len(model.elements.volume), model.cut_elements.first
-    element = worst if worst < m else m + int(np.searchsorted(first, worst - m, side="right")) - 1
+    element = int(np.repeat(np.arange(len(points)), points)[worst])
     nodes = np.concatenate([model.elements.nodes, model.cut_elements.nodes])[element]
     x, y = model.x[nodes].mean(axis=0)
     kind = "inverted" if np.isfinite(j[worst]) else "no longer finite"

@@ -5,7 +5,7 @@ from the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribe
 increment, so that v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces
 on them. With R(n) from the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2
 makes the discrete balance of kinetic energy and work an identity, and the error of the whole balance is
-O(dt^2). The work of friction is booked in the same way.
+O(dt^2). The work of friction and of damping (damping.py) is booked in the same way.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from phantomnode.solver.contact import OPEN, add_contact_forces, pairs_of
 from phantomnode.solver.cut_elements import add_cut_forces
+from phantomnode.solver.damping import add_viscous_forces, damp, is_viscous
 from phantomnode.solver.friction import add_friction_forces, friction_power, let_go
 from phantomnode.solver.model import Model, State
 from phantomnode.solver.q4 import add_element_forces
@@ -74,6 +75,8 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
         friction_force=np.zeros((n if rubbing else 0, 2)),
         stick=np.zeros(1),
         slip=np.zeros(1),
+        viscous=np.zeros((n if is_viscous(model.damping) else 0, 2)),
+        dissipated=np.zeros(1),
     )
     advance(model, state, search, 0.0, np.zeros((0, model.channels)))
     return state
@@ -81,13 +84,18 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
 
 @njit(cache=True, error_model="numpy")
 def evaluate_elements(model: Model, state: State) -> int:
-    """Load, internal and hourglass forces at the current displacement; whether the elements are sound."""
+    """Load, internal, hourglass and viscous forces at the current displacement; whether the elements are sound."""
     for i in range(len(model.load)):
         state.force[i, 0], state.force[i, 1] = model.load[i, 0], model.load[i, 1]
-    smallest_j = add_element_forces(model.elements, state.u, state.force)
+    if len(model.full.weight) == 0:
+        smallest_j = add_element_forces(model.elements, state.u, state.force)
+    else:
+        smallest_j = add_cut_forces(model.full, state.u, state.force)
     cut_j = add_cut_forces(model.cut_elements, state.u, state.force)
     if not smallest_j <= cut_j and smallest_j == smallest_j:
         smallest_j = cut_j  # also where it is NaN
+    if len(state.viscous) > 0:
+        add_viscous_forces(model, state)
     state.smallest_j[0] = smallest_j
     if smallest_j > 0.0:
         return DONE
@@ -173,8 +181,11 @@ def advance(model: Model, state: State, search: Search, dt: float, increments: F
         status = evaluate_elements(model, state)
         evaluate_contact(model, state, candidates)
         return status
+    damped = model.damping.mass > 0.0 or len(state.viscous) > 0
     for step in range(len(increments)):
         kick = 0.5 * dt if state.clock[1] == 0.0 else dt
+        if damped:
+            damp(model, state, kick, dt, increments[step])
         move(model, state, kick, dt, increments[step])
         state.clock[1] += 1.0
         state.clock[0] = state.clock[1] * dt

@@ -54,6 +54,47 @@ NOWHERE = np.zeros((0, 2))
 """What is left empty where a feature is not in use, so that it costs nothing."""
 
 
+class BulkViscosity(NamedTuple):
+    """Points at which a rate of compression is resisted: those of all elements, or none.
+
+    nodes (e, 4); first (e + 1,) first point of each element; gradient (p, 4, 2), 1/m; weight (p,), m^2;
+    linear (e,), Pa s, and quadratic (e,), Pa s^2: the pressure is linear r + quadratic r^2 at the rate
+    r = -dJ/dt > 0; length (e,), m, of the jump of velocity that a rate stands for.
+    """
+
+    nodes: Ints
+    first: Ints
+    gradient: Floats
+    weight: Floats
+    linear: Floats
+    quadratic: Floats
+    length: Floats
+
+
+class Damping(NamedTuple):
+    """What takes energy out beside friction.
+
+    mass: alpha_M of the force -alpha_M m v, 1/s; hourglass (m,) viscosity of each uncut element, N s/m, with
+    force c gamma (gamma . v); empty where there is none; bulk: points of the bulk viscosity.
+    """
+
+    mass: float
+    hourglass: Floats
+    bulk: BulkViscosity
+
+
+NO_POINTS = CutElements(
+    np.zeros((0, 4), dtype=np.int64), np.zeros(1, dtype=np.int64), np.zeros((0, 4, 2)), *(np.zeros(0),) * 4
+)
+"""A list without an element."""
+
+NO_BULK_VISCOSITY = BulkViscosity(
+    np.zeros((0, 4), dtype=np.int64), np.zeros(1, dtype=np.int64), np.zeros((0, 4, 2)), *(np.zeros(0),) * 4
+)
+
+NO_DAMPING = Damping(0.0, np.zeros(0), NO_BULK_VISCOSITY)
+
+
 class Contact(NamedTuple):
     """Slave points and master segments of all contact pairs.
 
@@ -104,7 +145,9 @@ class Model(NamedTuple):
     x (n, 2) reference positions, m; mass (n,) lumped, kg/m (0 for the nodes of rigid obstacles, which are
     held in both directions); load (n, 2) constant nodal force (gravity), N/m;
     channel (n, 2) row of the prescribed motion that holds each degree of freedom, -1 where it is free;
-    channels: number of prescribed motions; elements, cut_elements, contact: the lists above.
+    channels: number of prescribed motions; elements, cut_elements, contact: the lists above; full: the uncut
+    elements once more with their points of full integration, where that is asked for: it stands for the one
+    point and the hourglass control of ``elements`` then; damping.
     """
 
     x: Floats
@@ -115,6 +158,8 @@ class Model(NamedTuple):
     elements: Elements
     cut_elements: CutElements
     contact: Contact
+    full: CutElements = NO_POINTS
+    damping: Damping = NO_DAMPING
 
 
 class State(NamedTuple):
@@ -135,6 +180,9 @@ class State(NamedTuple):
     passed a free end; tangential (g, 2)
     friction force on each slave point, N/m; friction_force (n, 2) the part of ``force`` that is friction, N/m.
     stick (1,) energy of the springs, J/m; slip (1,) work of the friction forces up to half a step back, J/m.
+
+    Damping: viscous (n, 2) the part of ``force`` by bulk and hourglass viscosity, N/m, empty where there is none;
+    dissipated (1,) energy lost to all damping up to half a step back, J/m.
     """
 
     u: Floats
@@ -156,13 +204,15 @@ class State(NamedTuple):
     friction_force: Floats
     stick: Floats
     slip: Floats
+    viscous: Floats
+    dissipated: Floats
 
 
 class Energies(NamedTuple):
     """Energies at one time, J per metre of thickness.
 
-    contact holds the energy of the normal and of the tangential springs; friction is what slip has dissipated
-    since the start.
+    contact holds the energy of the normal and of the tangential springs; friction and damping are what slip
+    and damping have dissipated since the start.
     """
 
     kinetic: float
@@ -171,3 +221,4 @@ class Energies(NamedTuple):
     contact: float
     external_work: float
     friction: float = 0.0
+    damping: float = 0.0

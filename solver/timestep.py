@@ -14,46 +14,101 @@ Floats = NDArray[np.float64]
 CHUNK = 65536
 """Elements whose stiffness is looked at at once: 64 numbers each."""
 
+CUT_CHUNK = 4096
+"""The same for elements of some ten integration points each."""
+
 
 class StepEstimate(NamedTuple):
-    """A safe time step, dt = safety * 2 / sqrt(element_frequency^2 + contact_frequency^2).
+    """A safe time step, dt = safety * 2 (sqrt(1 + xi^2) - xi)/sqrt(element_frequency^2 + contact_frequency^2).
 
-    dt, s; element_frequency, rad/s, of the stiffest element alone; contact_frequency, rad/s, of the penalty
-    springs with every slave point closed; element: its number (uncut elements first, then cut ones).
+    dt, s; element_frequency, rad/s, of the element that limits the step, alone; contact_frequency, rad/s, of the
+    penalty springs with every slave point closed; element: its number (uncut elements first, then cut ones);
+    xi: the part of critical damping that viscosity gives that element.
     """
 
     dt: float
     element_frequency: float
     contact_frequency: float
     element: int
+    xi: float = 0.0
 
 
-def stable_step(model: Model, safety: float = 0.85) -> StepEstimate:
+def stable_step(model: Model, safety: float = 0.85, speed: float = 0.0) -> StepEstimate:
     """A time step that is safe with every slave point closed.
 
     The largest eigenvalue of the assembled stiffness by the lumped mass is at most the largest one of any
     element with its own mass, plus that of the contact springs (Rayleigh's quotient, term by term). The
-    step of the elements alone (Eq. 21) is 2.5 to 26 times too long once contact closes.
+    step of the elements alone (Eq. 21) is 2.5 to 26 times too long once contact closes. With viscous forces
+    half a step behind, M - dt/2 C - dt^2/4 K must be positive, which is held element by element likewise.
 
     Parameters
     ----------
     model : Model
     safety : float
         What is kept for the stiffening under finite strain.
+    speed : float, m/s
+        The largest difference of velocity over one element that the quadratic bulk viscosity is to meet.
 
     Raises
     ------
     ValueError
         Where the model has no element.
     """
-    uncut = _uncut_eigenvalue(model.elements)
-    cut = _cut_eigenvalue(model.cut_elements)
-    element2, element = max(uncut, (cut[0], cut[1] + len(model.elements.volume)))
-    if not element2 > 0.0:
+    stiffness2, viscosity = element_rates(model, speed)
+    if not np.max(stiffness2, initial=0.0) > 0.0:
         raise ValueError("the model has no element that could limit the time step")
-    contact2 = _contact_eigenvalue(model)
-    dt = safety * 2.0 / np.sqrt(element2 + contact2)
-    return StepEstimate(float(dt), float(np.sqrt(element2)), float(np.sqrt(contact2)), element)
+    contact2 = contact_rate(model)
+    steps = _step_of(stiffness2 + contact2, viscosity)
+    element = int(np.argmin(steps))
+    frequency = np.sqrt(stiffness2[element] + contact2)
+    return StepEstimate(
+        dt=float(safety * steps[element]),
+        element_frequency=float(np.sqrt(stiffness2[element])),
+        contact_frequency=float(np.sqrt(contact2)),
+        element=element,
+        xi=float(0.5 * viscosity[element] / frequency),
+    )
+
+
+def _step_of(frequency2: Floats, viscosity: Floats) -> Floats:
+    """The step at which dt^2 w^2/4 + dt c/2 = 1, s, from w^2, 1/s^2, and c, 1/s."""
+    return np.asarray(4.0 / (viscosity + np.sqrt(viscosity**2 + 4.0 * frequency2)))
+
+
+def element_rates(model: Model, speed: float = 0.0) -> tuple[Floats, Floats]:
+    """Largest eigenvalues of stiffness, 1/s^2, and viscosity, 1/s, of each element with its own lumped mass.
+
+    Parameters
+    ----------
+    model : Model
+    speed : float, m/s
+        See :func:`stable_step`.
+
+    Returns
+    -------
+    stiffness, viscosity : (e,) float64
+        Uncut elements first, then cut ones.
+    """
+    uncut = cut_eigenvalues(model.full) if len(model.full.weight) else _uncut_eigenvalues(model.elements)
+    stiffness = np.concatenate([uncut, cut_eigenvalues(model.cut_elements)])
+    mass = np.concatenate([model.elements.mass, model.cut_elements.mass])
+    return stiffness, _bulk_rates(model, mass, speed) + _hourglass_rates(model, len(mass))
+
+
+def _bulk_rates(model: Model, mass: Floats, speed: float) -> Floats:
+    """(e,) Largest eigenvalue of the bulk viscosity of each element with its mass, 1/s.
+
+    A point adds w c g g^T with the gradients g; the quadratic part counts by its slope, twice its secant, at a
+    velocity jump ``speed`` over L: quadratic * 2 speed/L, where quadratic/L = b2^2 rho L.
+    """
+    bulk = model.damping.bulk
+    if len(bulk.weight) == 0:
+        return np.zeros(len(mass))
+    count = np.diff(bulk.first)
+    owner = np.repeat(np.arange(len(mass)), count)
+    slope = bulk.linear + 2.0 * bulk.quadratic * speed / bulk.length
+    trace = np.bincount(owner, bulk.weight * np.einsum("pia,pia->p", bulk.gradient, bulk.gradient), len(mass))
+    return np.asarray(slope * trace / (0.25 * mass))
 
 
 def _strain_stiffness(gradient: Floats, lame: Floats, shear: Floats) -> Floats:
@@ -66,14 +121,23 @@ def _strain_stiffness(gradient: Floats, lame: Floats, shear: Floats) -> Floats:
     return np.asarray(stiffness.reshape(p, 8, 8))
 
 
-def _uncut_eigenvalue(elements: Elements) -> tuple[float, int]:
-    """Largest eigenvalue of an uncut element with its own mass, 1/s^2, and the number of the element."""
-    best = (0.0, 0)
+def _hourglass_rates(model: Model, count: int) -> Floats:
+    """(count,) Eigenvalue of the hourglass viscosity of each element with its mass, 1/s; zero on cut ones."""
+    rates, viscosity, e = np.zeros(count), model.damping.hourglass, model.elements
+    if len(viscosity):
+        rates[: len(viscosity)] = viscosity * np.einsum("mi,mi->m", e.gamma, e.gamma) / (0.25 * e.mass)
+    return rates
+
+
+def _uncut_eigenvalues(elements: Elements) -> Floats:
+    """(m,) Largest eigenvalue of each uncut element with its own mass, 1/s^2."""
+    eigenvalues = np.zeros(len(elements.volume))
     for start in range(0, len(elements.volume), CHUNK):
-        block = _some(elements, np.arange(start, min(start + CHUNK, len(elements.volume))))
+        part = slice(start, start + CHUNK)
+        block = Elements._make(field[part] for field in elements)
         quarter = 0.25 * block.mass
         # Elements of one kind (most of a structured grid) have the same stiffness: look at each kind once.
-        kinds = _kinds(
+        kinds, kind = _kinds(
             np.column_stack(
                 [
                     block.gradient.reshape(-1, 8) * np.sqrt(block.lame * block.volume / quarter)[:, None],
@@ -82,42 +146,41 @@ def _uncut_eigenvalue(elements: Elements) -> tuple[float, int]:
                 ]
             )
         )
-        e = _some(block, kinds)
+        e = Elements._make(field[kinds] for field in block)
         stiffness = e.volume[:, None, None] * _strain_stiffness(e.gradient, e.lame, e.shear)
         mode = np.einsum("mi,mj,ab->miajb", e.gamma, e.gamma, np.eye(2)).reshape(-1, 8, 8)
         stiffness += e.hourglass[:, None, None] * mode
-        largest = np.linalg.eigvalsh(stiffness / quarter[kinds, None, None])[:, -1]
-        k = int(np.argmax(largest))
-        best = max(best, (float(largest[k]), start + int(kinds[k])))
-    return best
+        eigenvalues[part] = np.linalg.eigvalsh(stiffness / quarter[kinds, None, None])[kind, -1]
+    return eigenvalues
 
 
-def _some(elements: Elements, which: NDArray[np.intp]) -> Elements:
-    """The elements of these numbers."""
-    return Elements._make(field[which] for field in elements)
-
-
-def _kinds(features: Floats) -> NDArray[np.intp]:
-    """The first row of every kind of rows that agree to rounding, by their product with a fixed vector."""
+def _kinds(features: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The first row of every kind of rows that agree to rounding (by their product with a fixed vector), and
+    the kind of each row.
+    """
     weights = np.random.default_rng(0).uniform(1.0, 2.0, features.shape[1])
     key = features @ weights / np.max(np.abs(features) @ weights)
-    return np.unique(np.round(key, 10), return_index=True)[1]
+    _, first, kind = np.unique(np.round(key, 10), return_index=True, return_inverse=True)
+    return first, kind.reshape(-1)
 
 
-def _cut_eigenvalue(cut: CutElements) -> tuple[float, int]:
-    """Largest eigenvalue of a cut element with its own mass, 1/s^2, and its number among the cut ones."""
-    if len(cut.lame) == 0:
-        return 0.0, 0
-    owner = np.repeat(np.arange(len(cut.lame)), np.diff(cut.first))
-    at_points = _strain_stiffness(cut.gradient, cut.lame[owner], cut.shear[owner])
-    at_points *= cut.weight[:, None, None]
-    stiffness = np.zeros((len(cut.lame), 8, 8))
-    np.add.at(stiffness, owner, at_points)
-    largest = np.linalg.eigvalsh(stiffness / (0.25 * cut.mass)[:, None, None])[:, -1]
-    return float(np.max(largest)), int(np.argmax(largest))
+def cut_eigenvalues(cut: CutElements) -> Floats:
+    """(c,) Largest eigenvalue of each element of integration points with its own mass, 1/s^2."""
+    eigenvalues = np.zeros(len(cut.lame))
+    for start in range(0, len(cut.lame), CUT_CHUNK):
+        stop = min(start + CUT_CHUNK, len(cut.lame))
+        points = slice(cut.first[start], cut.first[stop])
+        owner = np.repeat(np.arange(stop - start), np.diff(cut.first[start : stop + 1]))
+        moduli = cut.lame[start + owner], cut.shear[start + owner]
+        at_points = cut.weight[points, None, None] * _strain_stiffness(cut.gradient[points], *moduli)
+        stiffness = np.zeros((stop - start, 8, 8))
+        np.add.at(stiffness, owner, at_points)
+        quarter = 0.25 * cut.mass[start:stop, None, None]
+        eigenvalues[start:stop] = np.linalg.eigvalsh(stiffness / quarter)[:, -1]
+    return eigenvalues
 
 
-def _contact_eigenvalue(model: Model) -> float:
+def contact_rate(model: Model) -> float:
     """Bound on the largest eigenvalue of the penalty springs, 1/s^2, with every slave point closed.
 
     A point adds eps w to the stiffness of its slave and of its master side, (a - b)^2 <= 2 a^2 + 2 b^2

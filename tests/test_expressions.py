@@ -26,6 +26,10 @@ T = np.linspace(0.0, 2.0, 41)
         ("max(0, t - 1, -t)", np.maximum(0.0, T - 1.0)),
         ("min(t, 1)", np.minimum(T, 1.0)),
         ("step(t - 1)", (T >= 1.0).astype(float)),
+        (
+            "2*ramp(t, 0.5, 1.5)",
+            2.0 * (lambda s: s**3 * (10 - 15 * s + 6 * s**2))(np.clip(T - 0.5, 0.0, 1.0)),
+        ),
         ("where(t < 0.5, -t, -0.5)", np.where(T < 0.5, -T, -0.5)),
         ("where(t > 0, sin(t)/t, 1)", np.sinc(T / np.pi)),  # the branch not taken may divide by zero
         ("log(exp(t)) + sqrt(abs(-t)) - tanh(t)", T + np.sqrt(T) - np.tanh(T)),
@@ -132,3 +136,15 @@ def test_numbers_expressions_and_points_are_functions_of_time() -> None:
 def test_an_expression_can_be_sent_to_another_process() -> None:
     expression = parse("sin(t)", "t")
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(expression))(T), np.sin(T))
+
+
+def test_a_ramp_is_smooth_and_needs_a_length() -> None:
+    t = np.linspace(-1.0, 3.0, 4001)
+    value = parse("ramp(t, 0.5, 2)", "t")(t)
+    assert value[0] == 0.0 and value[-1] == 1.0 and value[t <= 0.5].max() == 0.0
+    velocity, acceleration = np.gradient(value, t), np.gradient(np.gradient(value, t), t)
+    assert np.all(velocity >= 0.0) and velocity.max() == pytest.approx(1.875 / 1.5, rel=1e-5)
+    # No jump: an acceleration changes by at most the step, 1e-3, times 60/1.5^3 (differences over three steps).
+    assert np.abs(np.diff(acceleration)).max() < 4e-3 * 60.0 / 1.5**3
+    with pytest.raises(ExpressionError, match="t1 must be larger than t0"):
+        parse("ramp(t, 1, 1)", "t")(t)
