@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from phantomnode.pipeline.shapes import (
     BodyGeometry,
@@ -226,6 +226,11 @@ class Hourglass(Table):
         return self
 
 
+def _plain_number(value: object) -> object:
+    """The value; true, which Python takes for 1, as text, which no number is."""
+    return str(value).lower() if isinstance(value, bool) else value
+
+
 class Integration(Table):
     """How elements are integrated."""
 
@@ -233,7 +238,7 @@ class Integration(Table):
         default="one-point",
         description='"one-point" with hourglass control, or "full": 2 x 2 Gauss points without it',
     )
-    cut: Literal[3, 1] = Field(
+    cut: Annotated[Literal[3, 1], BeforeValidator(_plain_number)] = Field(
         default=3, description="points on each triangle of a fragment; 1 takes a fan about the centroid"
     )
     alpha: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=1.0)] = Field(

@@ -85,6 +85,21 @@ def test_a_case_is_read_with_its_defaults(file: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "fragment"),
     [
+        # elements, damping, mass scaling
+        ("integration.cut=2", r"integration\.cut = 2: must be 3 or 1"),
+        ("integration.cut=true", r"integration\.cut"),
+        ("integration.uncut='both'", r'integration\.uncut = .both.: must be "one-point" or "full"'),
+        ("integration.alpha=0.5", r"integration\.alpha = 0\.5: must be at least 1"),
+        ("integration.alpha_below=2", r"integration\.alpha_below = 2: must be at most 1"),
+        ("hourglass={}", r"hourglass.*stiffness or viscosity must be given"),
+        ("hourglass={stifness=0.1}", r"hourglass\.stifness: unknown key.*did you mean 'stiffness'"),
+        ("hourglass='soft'", r"hourglass = .soft."),
+        ("hourglass=-0.1", r"hourglass = -0\.1: must be at least 0"),
+        ("damping.mass=-1", r"damping\.mass = -1: must be at least 0"),
+        ("damping.bulk_viscosity=0.06", r"damping\.bulk_viscosity = 0\.06"),
+        ("damping.bulk_viscosity.cubic=1", r"damping\.bulk_viscosity\.cubic: unknown key"),
+        ("mass_scaling={}", r"mass_scaling\.step: is missing"),
+        ("mass_scaling.step=0", r"mass_scaling\.step = 0: must be greater than 0"),
         # names of keys
         ("tim.end=1", r"unknown key 'tim' \(did you mean 'time'\?\); a case knows title, name"),
         (
@@ -273,6 +288,11 @@ def test_a_case_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ("grid.shared.cell=0.25", 0.25),
         ("boundary.base.velocity.y=2*t", "2*t"),
         ("hourglass = 0.05", 0.05),
+        ("hourglass.viscosity=0.05", 0.05),
+        ("integration.uncut='full'", "full"),
+        ("integration.cut=1", 1),
+        ("damping.bulk_viscosity.linear=0.06", 0.06),
+        ("mass_scaling.step=1e-6", 1e-6),
     ],
 )
 def test_an_override_reaches_any_key(file: Path, override: str, value: object) -> None:
