@@ -86,6 +86,7 @@ def test_a_case_is_read_with_its_defaults(file: Path) -> None:
     ("override", "fragment"),
     [
         # elements, damping, mass scaling
+        ("method='xfem'", r'method = "xfem": classic X-FEM runs without contact'),
         ("integration.cut=2", r"integration\.cut = 2: must be 3 or 1"),
         ("integration.cut=true", r"integration\.cut"),
         ("integration.uncut='both'", r'integration\.uncut = .both.: must be "one-point" or "full"'),
@@ -414,3 +415,16 @@ def test_the_json_schema_accepts_the_bundled_cases_and_refuses_unknown_keys() ->
     for file in bundled_cases().values():
         validator.validate(tomllib.loads(file.read_text()))
     assert list(validator.iter_errors({**tomllib.loads(TEXT), "tim": 3}))
+
+
+def test_classic_xfem_refuses_what_it_does_not_do(file: Path) -> None:
+    keys = [
+        "method='xfem'",
+        "contact={}",
+        "damping.mass=3",
+        "integration.uncut='full'",
+        "hourglass.viscosity=0.1",
+    ]
+    with pytest.raises(CaseError, match=r"without integration\.uncut.*damping\.mass, hourglass\.viscosity"):
+        load_case(file, keys)
+    assert load_case(file, keys[:2]).method == "xfem"
