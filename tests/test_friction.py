@@ -33,6 +33,7 @@ def state_of(contact, x):
         np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(0), np.zeros(1),
         np.zeros((k, 2)), np.zeros((k, 2)), np.zeros(k), np.full(g, -1e300), np.zeros((g, 2)), np.zeros(2),
         np.ones(1), np.full(g, -1), np.zeros(g), np.zeros((g, 2)), np.zeros((n, 2)), np.zeros(1), np.zeros(1),
+        np.zeros((0, 2)), np.zeros(1),
     )  # fmt: skip
 
 
