@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from phantomnode.geometry.bilinear import shape, to_local
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.surfaces import Surface, closed_surface
+from phantomnode.pipeline.traces import traces
 from phantomnode.solver.model import Contact
 
 Floats = NDArray[np.float64]
@@ -36,7 +37,8 @@ class PairSurfaces:
     points, point_shape, weight : (g, 4) int64, (g, 4) float64, (g,) float64
         Nodes, shape functions and reference length, m, of the slave points, segment by segment.
     master_nodes, master_start, master_end : (m, 4)
-        The same for the master segments, closed around the ends of the named surface.
+        The same for the master segments, closed around the ends of the named surface and divided where
+        shape functions are not linear along them (:mod:`phantomnode.pipeline.traces`).
     previous, following : (m,) int64
         Neighbours of the master segments within the pair, -1 at a free end.
     """
@@ -72,8 +74,9 @@ def pair_surfaces(
     )
     number = np.full(len(other.segments.ends) + 1, -1)  # the last stands for "no neighbour"
     number[closed] = np.arange(len(closed))
-    following = number[other.segments.following[closed]]
-    previous = np.full(len(closed), -1)
+    pieces = traces(other, closed, number[other.segments.following[closed]])
+    following = pieces.following
+    previous = np.full(len(following), -1)
     previous[following[following >= 0]] = np.flatnonzero(following >= 0)
     return PairSurfaces(
         slave_nodes=mesh.elements[parents] + first_node[slave.body],
@@ -82,9 +85,9 @@ def pair_surfaces(
         points=owners + first_node[slave.body],
         point_shape=shape(to_local(mesh.xy[owners], local_points.reshape(-1, 2))),
         weight=np.repeat(length / POINTS_PER_SEGMENT, POINTS_PER_SEGMENT),
-        master_nodes=other.elements[other.segments.element[closed]] + first_node[master.body],
-        master_start=shape(other.segments.local[closed, 0]),
-        master_end=shape(other.segments.local[closed, 1]),
+        master_nodes=other.elements[other.segments.element[closed[pieces.segment]]] + first_node[master.body],
+        master_start=pieces.start,
+        master_end=pieces.end,
         previous=previous,
         following=following,
     )

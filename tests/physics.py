@@ -62,6 +62,20 @@ def mean_pressure(prepared, held, pair=0):
     return lines[-1].ends.mean(axis=1)[:, 0], np.mean([line.pressure for line in lines], axis=0)
 
 
+def mean_point_pressure(prepared, held, pair=0):
+    """Pressure at each slave point, Pa per current length of its segment (Eq. 25)."""
+    surface, contact = prepared.pairs[pair], prepared.model.contact
+    shapes = surface.end_shape - surface.start_shape
+    length = np.hypot(*np.einsum("si,sia->as", shapes, prepared.model.x[surface.segment_nodes]))
+    pressures = []
+    for frame in held:
+        x = (prepared.model.x + frame.u)[surface.segment_nodes]
+        stretch = np.hypot(*np.einsum("si,sia->as", shapes, x)) / length
+        nominal = contact.penalty[pair] * np.maximum(frame.gap[surface.points], 0.0)
+        pressures.append(nominal / np.repeat(stretch, surface.points_per_segment))
+    return np.mean(pressures, axis=0)
+
+
 def momentum(prepared, frame):
     """Linear, kg m/s, and angular momentum about the origin, kg m^2/s, per metre of thickness."""
     mass, (x, y), (vx, vy) = prepared.model.mass, (prepared.model.x + frame.u).T, frame.v.T
