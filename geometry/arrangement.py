@@ -11,6 +11,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from phantomnode.geometry.noding import Pieces, cross
 
@@ -110,3 +112,10 @@ class Arrangement:
         total = np.zeros(len(self.cycles), dtype=np.int64)
         np.add.at(total, self.face, cross(a, b))
         return total
+
+
+def components(count: int, first: Ints, second: Ints) -> tuple[int, Ints]:
+    """Connected components of ``count`` things joined in pairs: their number, and the one of each thing."""
+    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
+    number, label = connected_components(graph, directed=False)
+    return int(number), label.astype(np.int64)

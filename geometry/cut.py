@@ -11,53 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from phantomnode.geometry.arrangement import Arrangement
+from phantomnode.geometry.arrangement import Arrangement, components
 from phantomnode.geometry.chains import Chains, barrier_chains, in_cells
 from phantomnode.geometry.curves import Curve, Region
-from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.grid import BackgroundGrid
-from phantomnode.geometry.levelset import LevelSet
+from phantomnode.geometry.inside import cell_of_faces, check_cover, inside_of
 from phantomnode.geometry.noding import Lattice, Pieces, cross, node_segments
+from phantomnode.geometry.tags import CellEdges, Tags
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class CellEdges:
-    """The edges of a grid with the cells beside them.
-
-    Attributes
-    ----------
-    ends : (e, 2) int64
-        Nodes of each edge.
-    cell : (e, 2) int64
-        The cell on the left (in which the edge runs forward) and the one on the right; -1 outside the grid.
-    corner : (e, 2) int64
-        The corner of that cell at which the edge starts (left: at ends[0]; right: at ends[1]).
-    """
-
-    ends: Ints
-    cell: Ints
-    corner: Ints
-
-    @classmethod
-    def of(cls, grid: BackgroundGrid) -> CellEdges:
-        """Find the edges of a grid; more than two cells at an edge, or cells that overlap, are refused."""
-        directed = np.stack([grid.quads, np.roll(grid.quads, -1, axis=1)], axis=-1).reshape(-1, 2)
-        forward = directed[:, 0] < directed[:, 1]
-        ends, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-        edge = edge.reshape(-1)
-        cell, corner = np.full((len(ends), 2), -1), np.full((len(ends), 2), -1)
-        for side, mask in ((0, forward), (1, ~forward)):
-            if len(np.unique(edge[mask])) != np.count_nonzero(mask):
-                raise GeometryError("the background grid has an edge with two cells on the same side")
-            number = np.flatnonzero(mask)
-            cell[edge[mask], side], corner[edge[mask], side] = number // 4, number % 4
-        return cls(ends, cell, corner)
 
 
 @dataclass(frozen=True)
@@ -154,10 +118,10 @@ def cut(
     chains, band = in_cells(chains, nodes[grid.quads])
     pieces, source_edges = _noded(nodes, grid.quads, edges, band, chains)
     arrangement = Arrangement.of(pieces)
-    tags = _Tags.of(arrangement, pieces, source_edges, chains, len(loops))
-    face_cell = _cell_of_faces(arrangement, tags, edges, band)
-    inside_face, inside_cell = _inside(arrangement, tags, edges, band, face_cell, grid, regions, lattice)
-    _check_cover(arrangement, tags, edges, inside_face, inside_cell, face_cell, nodes, lattice)
+    tags = Tags.of(arrangement, pieces, source_edges, chains, len(loops))
+    face_cell = cell_of_faces(arrangement, tags, edges, band)
+    inside_face, inside_cell = inside_of(arrangement, tags, edges, band, face_cell, grid, regions, lattice)
+    check_cover(arrangement, tags, edges, inside_face, inside_cell, face_cell, nodes, lattice)
     return _fragments(
         lattice, nodes, grid.quads, edges, arrangement, tags, face_cell, inside_face, inside_cell, len(loops)
     )
@@ -182,7 +146,7 @@ def _noded(nodes: Ints, quads: Ints, edges: CellEdges, band: Bools, chains: Chai
 
 def _bridges(pieces: Pieces, grid_edges: int, nodes: Ints, quads: Ints, band: Bools) -> Ints:
     """(k, 2, 2) Ties from each island of barriers to a corner of the cell around it."""
-    count, label = _components(len(pieces.vertices), pieces.ends[:, 0], pieces.ends[:, 1])
+    count, label = components(len(pieces.vertices), pieces.ends[:, 0], pieces.ends[:, 1])
     tied = np.zeros(count, dtype=bool)
     tied[label[pieces.ends[pieces.source < grid_edges, 0]]] = True
     islands = []
@@ -197,179 +161,13 @@ def _bridges(pieces: Pieces, grid_edges: int, nodes: Ints, quads: Ints, band: Bo
     return np.array(islands, dtype=np.int64).reshape(-1, 2, 2)
 
 
-def _components(count: int, first: Ints, second: Ints) -> tuple[int, Ints]:
-    """Connected components of ``count`` things joined in pairs: their number, and the one of each thing."""
-    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
-    number, label = connected_components(graph, directed=False)
-    return int(number), label.astype(np.int64)
-
-
-@dataclass(frozen=True)
-class _Tags:
-    """What each segment of an arrangement carries; see :class:`Fragments`."""
-
-    grid_edge: Ints
-    edge_forward: Bools
-    material_left: Bools
-    material_right: Bools
-    curve: Ints
-    piece: Ints
-    curve_forward: Bools
-
-    @classmethod
-    def of(
-        cls, arrangement: Arrangement, pieces: Pieces, source_edges: Ints, chains: Chains, loops: int
-    ) -> _Tags:
-        count, segment, forward = len(arrangement.ends), arrangement.piece_segment, arrangement.piece_forward
-        grid_edge, edge_forward = np.full(count, -1), np.zeros(count, dtype=bool)
-        on_edge = pieces.source < len(source_edges)
-        grid_edge[segment[on_edge]] = source_edges[pieces.source[on_edge]]
-        edge_forward[segment[on_edge]] = forward[on_edge]
-        # Sources after the edges are the chains; after these, bridges.
-        barrier = ~on_edge & (pieces.source < len(source_edges) + len(chains.curve))
-        chain = pieces.source[barrier] - len(source_edges)
-        segment, forward = segment[barrier], forward[barrier]
-        outline = chains.curve[chain] < loops
-        left, right = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
-        left[segment[outline & forward]] = True
-        right[segment[outline & ~forward]] = True
-        # Written in descending order of the curve, so that an outline stays where it meets an interface.
-        order = np.argsort(-chain, kind="stable")
-        curve, piece, curve_forward = np.full(count, -1), np.full(count, -1), np.zeros(count, dtype=bool)
-        curve[segment[order]] = chains.curve[chain[order]]
-        piece[segment[order]] = chains.piece[chain[order]]
-        curve_forward[segment[order]] = forward[order]
-        return cls(grid_edge, edge_forward, left, right, curve, piece, curve_forward)
-
-
-def _cell_of_faces(arrangement: Arrangement, tags: _Tags, edges: CellEdges, band: Bools) -> Ints:
-    """(f,) The band cell around each face; -1 for what lies outside the band.
-
-    A grid edge knows the cells on its sides; every other segment has the same cell on both.
-    """
-    left, right = arrangement.face[0::2], arrangement.face[1::2]
-    on_edge = tags.grid_edge >= 0
-    faces = len(arrangement.cycles)
-    count, group = _components(faces, left[~on_edge], right[~on_edge])
-    cell_of_group = np.full(count, -2)
-    side = np.where(tags.edge_forward, 0, 1)[on_edge]
-    for face, which in ((left[on_edge], side), (right[on_edge], 1 - side)):
-        cell = edges.cell[tags.grid_edge[on_edge], which]
-        cell = np.where((cell >= 0) & band[cell], cell, -1)
-        seen = cell_of_group[group[face]]
-        cell_of_group[group[face]] = cell
-        if np.any((seen != -2) & (seen != cell)) or np.any(cell_of_group[group[face]] != cell):
-            raise GeometryError(
-                "a grid cell folds over itself: the background grid is too distorted to be cut"
-            )
-    return np.asarray(np.maximum(cell_of_group, -1)[group])
-
-
-def _inside(
-    arrangement: Arrangement,
-    tags: _Tags,
-    edges: CellEdges,
-    band: Bools,
-    face_cell: Ints,
-    grid: BackgroundGrid,
-    regions: tuple[Region, ...],
-    lattice: Lattice,
-) -> tuple[Bools, Bools]:
-    """Which faces, and which cells outside the band, lie in the material.
-
-    An outline has the material on its left; whatever is joined across segments that are no outline is alike.
-    """
-    faces, cells = len(arrangement.cycles), len(band)
-    left, right = arrangement.face[0::2].copy(), arrangement.face[1::2].copy()
-    # Outside the band, a cell stands for itself: number it after the faces.
-    on_edge = np.flatnonzero(tags.grid_edge >= 0)
-    side = np.where(tags.edge_forward, 0, 1)[on_edge]
-    for face, which in ((left, side), (right, 1 - side)):
-        cell = edges.cell[tags.grid_edge[on_edge], which]
-        rim = (cell >= 0) & ~band[cell]
-        face[on_edge[rim]] = faces + cell[rim]
-    outline = tags.material_left | tags.material_right
-    material = (face_cell >= 0)[np.minimum(left, faces - 1)] | (left >= faces)
-    material &= (face_cell >= 0)[np.minimum(right, faces - 1)] | (right >= faces)
-    plain = ~outline & material
-    far = np.all((edges.cell >= 0) & ~band[edges.cell], axis=1)
-    first = np.concatenate([left[plain], faces + edges.cell[far, 0]])
-    second = np.concatenate([right[plain], faces + edges.cell[far, 1]])
-    count, group = _components(faces + cells, first, second)
-    state = np.zeros(count, dtype=np.int8)  # 1 inside, -1 outside, 0 not known yet
-    for thing, inner in (
-        (left[tags.material_left], 1),
-        (right[tags.material_right], 1),
-        (left[tags.material_right & ~tags.material_left], -1),
-        (right[tags.material_left & ~tags.material_right], -1),
-    ):
-        known = state[group[thing]]
-        exterior = (thing < faces) & (face_cell[np.minimum(thing, faces - 1)] < 0)
-        wrong = np.flatnonzero((known == -inner) & ~exterior)
-        if len(wrong):
-            raise GeometryError(_crossing_message(arrangement, lattice, thing[wrong[0]], faces, grid))
-        state[group[thing[~exterior]]] = inner
-    # Parts of the grid that no outline touches: the sign of phi at a cell's centre decides.
-    cell_of_thing = np.concatenate([face_cell, np.where(band, -1, np.arange(cells))])
-    unknown = np.flatnonzero((state[group] == 0) & (cell_of_thing >= 0))
-    if len(unknown):
-        _, one = np.unique(group[unknown], return_index=True)
-        chosen = unknown[one]
-        centres = grid.xy[grid.quads[cell_of_thing[chosen]]].mean(axis=1)
-        sign = np.sign(LevelSet.of_regions(regions).distance(centres))
-        state[group[chosen]] = sign.astype(np.int8)
-    inside = (state[group] == 1) & (cell_of_thing >= 0)
-    return inside[:faces], inside[faces:]
-
-
-def _crossing_message(
-    arrangement: Arrangement, lattice: Lattice, thing: int, faces: int, grid: BackgroundGrid
-) -> str:
-    """Say where two outlines contradict each other."""
-    if thing < faces:
-        vertex = arrangement.vertices[arrangement.origin[arrangement.cycles[thing][0]]]
-        x, y = lattice.position(vertex[None])[0]
-    else:
-        x, y = grid.xy[grid.quads[thing - faces]].mean(axis=0)
-    return (
-        f"outlines cross each other or themselves near ({x:.6g}, {y:.6g}) m, as drawn or as chords from one cell "
-        "edge to the next: mend the drawing there, or make the cells smaller"
-    )
-
-
-def _check_cover(
-    arrangement: Arrangement,
-    tags: _Tags,
-    edges: CellEdges,
-    inside_face: Bools,
-    inside_cell: Bools,
-    face_cell: Ints,
-    nodes: Ints,
-    lattice: Lattice,
-) -> None:
-    """Refuse a body that reaches beyond the grid: material at a grid boundary that carries no outline."""
-    outline = tags.material_left | tags.material_right
-    on_rim = (tags.grid_edge >= 0) & np.any(edges.cell[tags.grid_edge] < 0, axis=1) & ~outline
-    inner = inside_face[arrangement.face[0::2]] | inside_face[arrangement.face[1::2]]
-    bad = np.flatnonzero(on_rim & inner)
-    at = arrangement.vertices[arrangement.ends[bad, 0]]
-    lone = np.flatnonzero(np.any(edges.cell < 0, axis=1) & inside_cell[edges.cell.max(axis=1)])
-    at = np.vstack([at, nodes[edges.ends[lone, 0]]])
-    if len(at):
-        x, y = lattice.position(at[:1])[0]
-        raise GeometryError(
-            f"the body reaches beyond its background grid near ({x:.6g}, {y:.6g}) m: make the grid larger, "
-            "or let it follow the outline exactly (aligned = true for a rectangle)"
-        )
-
-
 def _fragments(
     lattice: Lattice,
     nodes: Ints,
     quads: Ints,
     edges: CellEdges,
     arrangement: Arrangement,
-    tags: _Tags,
+    tags: Tags,
     face_cell: Ints,
     inside_face: Bools,
     inside_cell: Bools,
@@ -379,7 +177,7 @@ def _fragments(
     left, right = arrangement.face[0::2], arrangement.face[1::2]
     barrier = tags.curve >= 0
     joined = (tags.grid_edge < 0) & ~barrier
-    _, group = _components(len(inside_face), left[joined], right[joined])
+    _, group = components(len(inside_face), left[joined], right[joined])
     faces = np.flatnonzero(inside_face)
     roots, fragment = np.unique(group[faces], return_inverse=True)
     cell_of_root = np.empty(len(roots), dtype=np.int64)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from phantomnode.geometry.arrangement import components
 from phantomnode.geometry.bilinear import to_local
 from phantomnode.geometry.cut import Fragments
 from phantomnode.geometry.errors import GeometryError
@@ -124,10 +123,37 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
         raise GeometryError("no cell of the background grid lies in the body: make its cells smaller")
     quads = grid.quads[fragments.cell]
     first, second, element_pairs = _merged_corners(fragments)
-    slots = 4 * count
-    graph = coo_array((np.ones(len(first), dtype=np.int8), (first, second)), shape=(slots, slots))
-    _, copy = connected_components(graph, directed=False)
-    # Nodes in the order of the grid nodes, then of the elements: the same numbers whatever scipy does.
+    elements, grid_node = _numbered(quads, first, second)
+    xy = fragments.lattice.position(fragments.nodes)
+    unit_area = 0.5 * float(np.prod(fragments.lattice.unit))
+    area: Floats = np.asarray(fragments.doubled_area * unit_area, dtype=np.float64)
+    triangles, triangle_element = _triangles(fragments)
+    corners = fragments.nodes[quads]
+    cell_area = cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) * unit_area
+    return CutMesh(
+        xy=xy[grid_node],
+        grid_node=grid_node,
+        real=_real(fragments, quads, elements, len(grid_node)),
+        elements=elements,
+        cell=fragments.cell,
+        area=area,
+        fraction=np.where(fragments.whole, 1.0, area / cell_area),
+        cut=~fragments.whole,
+        component=components(count, element_pairs[:, 0], element_pairs[:, 1])[1],
+        triangles=triangles,
+        triangle_element=triangle_element,
+        segments=_boundary_segments(fragments, xy[quads]),
+        notes=_resolution_notes(fragments, elements),
+    )
+
+
+def _numbered(quads: Ints, first: Ints, second: Ints) -> tuple[Ints, Ints]:
+    """Nodes from corner slots of which the given pairs are one: (m, 4) elements, (n,) the grid node of each.
+
+    Nodes stand in the order of the grid nodes, then of the elements: the same numbers whatever scipy does.
+    """
+    slots = quads.size
+    _, copy = components(slots, first, second)
     representative = np.full(slots, slots)
     np.minimum.at(representative, copy, np.arange(slots))
     representative = representative[copy]
@@ -136,32 +162,7 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
     order = np.lexsort([roots, grid_of_root])
     number = np.empty(slots, dtype=np.int64)
     number[roots[order]] = np.arange(len(roots))
-    elements = number[representative].reshape(-1, 4)
-    grid_node = grid_of_root[order]
-    xy = fragments.lattice.position(fragments.nodes)
-    unit_area = 0.5 * float(np.prod(fragments.lattice.unit))
-    area: Floats = np.asarray(fragments.doubled_area * unit_area, dtype=np.float64)
-    triangles, triangle_element = _triangles(fragments)
-    corners = fragments.nodes[quads]
-    cell_area = cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) * unit_area
-    _, component = connected_components(
-        coo_array((np.ones(len(element_pairs)), tuple(element_pairs.T)), shape=(count, count)), directed=False
-    )
-    return CutMesh(
-        xy=xy[grid_node],
-        grid_node=grid_node,
-        real=_real(fragments, quads, elements, len(roots)),
-        elements=elements,
-        cell=fragments.cell,
-        area=area,
-        fraction=np.where(fragments.whole, 1.0, area / cell_area),
-        cut=~fragments.whole,
-        component=component.astype(np.int64),
-        triangles=triangles,
-        triangle_element=triangle_element,
-        segments=_boundary_segments(fragments, xy[quads]),
-        notes=_resolution_notes(fragments, elements),
-    )
+    return number[representative].reshape(-1, 4), grid_of_root[order]
 
 
 def _merged_corners(fragments: Fragments) -> tuple[Ints, Ints, Ints]:
