@@ -79,7 +79,7 @@ def cut_body(case: Case, name: str) -> CutBody:
     for label, interface in case.interface.items():
         if interface.body == name:
             with at(case, f"interface.{label}.geometry"):
-                curves, more = _curves(case, interface.geometry, regions)
+                curves, more = curves_of(case, interface.geometry, regions)
                 interfaces += [(label, curve) for curve in curves]
                 notes += more
     with at(case, f"body.{name}.grid"):
@@ -177,7 +177,7 @@ def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
     return Geometry((shapes.polygon(geometry.polygon.points),))
 
 
-def _curves(
+def curves_of(
     case: Case, geometry: CurveGeometry, regions: tuple[Region, ...] = ()
 ) -> tuple[tuple[Curve, ...], tuple[str, ...]]:
     """The curves of an interface, placed, with the reader's notes."""
@@ -229,7 +229,7 @@ def _grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
 
 def _one_curve(case: Case, geometry: CurveGeometry) -> Curve:
     """The one curve of a side of a mapped grid."""
-    curves, _ = _curves(case, geometry)
+    curves, _ = curves_of(case, geometry)
     if len(curves) != 1:
         raise GeometryError(f"a side of a mapped grid is one curve, but {len(curves)} were found")
     return curves[0]

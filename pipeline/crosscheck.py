@@ -8,7 +8,7 @@ import numpy as np
 
 from phantomnode.pipeline.expressions import ExpressionError, time_function
 from phantomnode.pipeline.messages import listed, shown, suggestion
-from phantomnode.pipeline.schema import Boundary, BoxOn, Case, Hourglass
+from phantomnode.pipeline.schema import Boundary, BoxOn, Case, Contact, Hourglass, Rigid
 from phantomnode.pipeline.shapes import FileGrid, MappedGrid
 from phantomnode.pipeline.values import Table
 
@@ -23,9 +23,12 @@ def cross_check(case: Case) -> list[str]:
 
 
 def _names(case: Case) -> Iterator[str]:
-    """Bodies and interfaces share the names of surfaces, so none may be both."""
+    """Bodies, interfaces and obstacles share the names of surfaces; obstacles and boundaries those of reactions."""
     for name in case.interface.keys() & case.body.keys():
         yield f"interface.{name}: a body has this name too; rename one of the two"
+    for table in ("body", "interface", "boundary"):
+        for name in case.rigid.keys() & getattr(case, table).keys():
+            yield f"rigid.{name}: there is a {table} of this name too; rename one of the two"
 
 
 def _methods(case: Case) -> Iterator[str]:
@@ -77,20 +80,41 @@ def _surfaces(case: Case) -> Iterator[str]:
     """Names such as "ring.outer" (whether a body has the part is known once its geometry is read)."""
     for name, contact in case.contact.items():
         yield from _surface(case, f"contact.{name}.slave", contact.slave)
-        yield from _surface(case, f"contact.{name}.master", contact.master)
-        if contact.slave == contact.master:
-            yield f"contact.{name}: slave and master are both {shown(contact.slave)}; name two surfaces"
+        if contact.master not in case.rigid:
+            yield from _surface(case, f"contact.{name}.master", contact.master)
+        yield from _contact(case, f"contact.{name}", contact)
     for name, boundary in case.boundary.items():
         if isinstance(boundary.on, str):
             yield from _surface(case, f"boundary.{name}.on", boundary.on)
+
+
+def _contact(case: Case, key: str, contact: Contact) -> Iterator[str]:
+    """What the two surfaces of a pair allow."""
+    own, rigid = contact.slave == contact.master, contact.master in case.rigid
+    if own and contact.slave.partition(".")[0] not in case.body:
+        yield (
+            f"{key}: slave and master are both {shown(contact.slave)}, a side of an interface, which cannot touch "
+            "itself; name its two sides"
+        )
+    if contact.passes == 2 and rigid:
+        yield f"{key}.passes = 2: the obstacle {contact.master} has no points of its own; take passes = 1"
+    if contact.passes == 2 and own:
+        yield f"{key}.passes = 2: self contact tests every point of the curve as it is; take passes = 1"
 
 
 def _surface(case: Case, key: str, place: str) -> Iterator[str]:
     """A name of a surface: its owner exists, and a side of an interface is plus or minus."""
     owner, _, part = place.partition(".")
     owners = [*case.body, *case.interface]
-    if owner not in owners:
-        yield _unknown(key, place, "body or interface", owners, owner)
+    if owner in case.rigid:
+        yield f"{key} = {shown(place)}: {owner} is a rigid obstacle, which is a master as a whole: {shown(owner)}"
+    elif owner not in owners:
+        masters = [*owners, *case.rigid] if key.endswith(".master") else owners
+        yield _unknown(
+            key, place, "body, interface or obstacle" if case.rigid else "body or interface", masters, owner
+        )
+    elif not part:
+        yield f"{key} = {shown(place)}: name a part of it, as in {shown(owner + '.outer')}"
     elif owner in case.interface and owner not in case.body and part not in ("plus", "minus"):
         yield f"{key} = {shown(place)}: the sides of an interface are {owner}.plus and {owner}.minus"
 
@@ -122,6 +146,8 @@ def _tables(case: Case) -> Iterator[tuple[str, Table]]:
             yield from _grid_tables(f"body.{name}.grid", body.grid)
     for name, interface in case.interface.items():
         yield f"interface.{name}.geometry", interface.geometry
+    for name, rigid in case.rigid.items():
+        yield f"rigid.{name}.geometry", rigid.geometry
     for name, grid in case.grid.items():
         yield from _grid_tables(f"grid.{name}", grid)
 
@@ -141,9 +167,17 @@ def _motions(case: Case) -> Iterator[str]:
         for kind in ("displacement", "velocity", "acceleration"):
             for direction in ("x", "y"):
                 yield from _motion(case, boundary, f"boundary.{name}", kind, direction)
+    for name, rigid in case.rigid.items():
+        for kind in ("displacement", "velocity"):
+            for direction in ("x", "y"):
+                yield from _motion(case, rigid, f"rigid.{name}", kind, direction)
+        if rigid.geometry.function is not None and rigid.geometry.x is None:
+            yield f"rigid.{name}.geometry: a function needs its range here, x = [first, last] in m"
+        if all(contact.master != name for contact in case.contact.values()):
+            yield f"rigid.{name}: no contact has it as its master; add one, or leave the obstacle out"
 
 
-def _motion(case: Case, boundary: Boundary, key: str, kind: str, direction: str) -> Iterator[str]:
+def _motion(case: Case, boundary: Boundary | Rigid, key: str, kind: str, direction: str) -> Iterator[str]:
     """One function of time."""
     value = getattr(getattr(boundary, kind), direction, None)
     if value is None:

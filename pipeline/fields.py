@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.clip import ClippedBodies
+from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.observer import Sampled
-from phantomnode.pipeline.prepare import Floats, Pair, Prepared
+from phantomnode.pipeline.prepare import Floats, Prepared
+from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.vtu import (
     VTK_LINE,
     VTK_QUAD,
@@ -117,12 +119,15 @@ def fields_vtu(prepared: Prepared, clipped: ClippedBodies, grid: Cells, frame: F
 class ContactLines(NamedTuple):
     """The slave segments of one pair at one time.
 
-    ends (s, 2, 2), m; pressure (s,), Pa, per current length; gap (s,), m: negative where the slave
+    ends (s, 2, 2), m; pressure (s,), Pa, per current length; filtered (s,) the same through the hat filter;
+    traction (s, 2) of friction on the slave, Pa; gap (s,), m: negative where the slave
     penetrates, NaN where it is open; normal (s, 2): direction of the force on the slave, zero where open.
     """
 
     ends: Floats
     pressure: Floats
+    filtered: Floats
+    traction: Floats
     gap: Floats
     normal: Floats
 
@@ -131,7 +136,8 @@ def contact_lines(prepared: Prepared, number: int, frame: Frame) -> ContactLines
     """Pressure and gap on the slave segments of a pair (Eq. 25-27).
 
     The solver weighs a slave point with its reference length, eps g w its force; on the current length the
-    same force is the pressure eps g w / (w l / L). Points count by their weights in the means of a segment.
+    same force is the pressure eps g w / (w l / L). Points count by their weights in the means of a segment. Where
+    both surfaces have points at half the penalty, either one shows the pressure that both bear together.
     """
     pair: Pair = prepared.pairs[number]
     contact = prepared.model.contact
@@ -143,26 +149,55 @@ def contact_lines(prepared: Prepared, number: int, frame: Frame) -> ContactLines
     x = (prepared.model.x + frame.u)[pair.segment_nodes]
     ends = np.stack([np.einsum("si,sik->sk", n, x) for n in (pair.start_shape, pair.end_shape)], axis=1)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
-    force = contact.penalty[number] * np.sum(weight * depth, axis=1)
-    pressure = np.where(force > 0.0, force / np.where(length > 0.0, length, np.inf), 0.0)
+    unit = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)
+    force = pair.share * contact.penalty[pair.passes[0]] * np.sum(weight * depth, axis=1)
+    smooth = _smoothed(pair, force, weight.sum(axis=1))
+    rub = np.zeros((len(length), 2))
+    if pair.friction > 0.0:
+        rub = pair.share * frame.tangential[pair.points].reshape(*shape, 2).sum(axis=1)
 
     share = closed.sum(axis=1)
     safe = np.where(share > 0.0, share, 1.0)
     gap = np.where(share > 0.0, -np.sum(closed * depth, axis=1) / safe, np.nan)
     normal = np.einsum("sg,sgk->sk", closed, frame.normal[pair.points].reshape(*shape, 2))
     size = np.hypot(*normal.T)
-    return ContactLines(ends, pressure, gap, normal / np.where(size > 0.0, size, 1.0)[:, None])
+    normal = normal / np.where(size > 0.0, size, 1.0)[:, None]
+    return ContactLines(ends, force * unit, smooth * unit, rub * unit[:, None], gap, normal)
+
+
+def _smoothed(pair: Pair, force: Floats, length: Floats) -> Floats:
+    """(s,) Forces of the segments, N/m, through the hat filter along their (s,) reference lengths, m."""
+    if pair.smoother is None:
+        return force
+    rows, columns, weights = pair.smoother
+    return length * np.bincount(rows, weights * (force / length)[columns], len(force))
+
+
+def _obstacle_lines(rigid: Rigid, x: Floats) -> ContactLines:
+    """The segments of an obstacle, without contact data, at (n, 2) current positions."""
+    count = len(rigid.segments)
+    nothing, none = np.zeros(count), np.zeros((count, 2))
+    return ContactLines(x[rigid.nodes][rigid.segments], nothing, nothing, none, np.full(count, np.nan), none)
 
 
 def contact_vtu(prepared: Prepared, frame: Frame) -> bytes:
-    """The content of one contact file: the slave segments of all pairs, ``pair`` counting from 0."""
+    """The content of one contact file: the slave segments of all pairs, ``pair`` counting from 0.
+
+    Rigid obstacles follow as lines of the pair -1, so that they are seen.
+    """
     lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
+    lines += [_obstacle_lines(rigid, prepared.model.x + frame.u) for rigid in prepared.rigids]
+    pairs = len(prepared.pairs)
     points = np.concatenate([pair.ends.reshape(-1, 2) for pair in lines])
     cell_data = {
         "pressure": np.concatenate([pair.pressure for pair in lines]),
+        "pressure_filtered": np.concatenate([pair.filtered for pair in lines]),
+        "traction": vectors(np.concatenate([pair.traction for pair in lines])),
         "gap": np.concatenate([pair.gap for pair in lines]),
         "normal": vectors(np.concatenate([pair.normal for pair in lines])),
-        "pair": np.concatenate([np.full(len(pair.gap), k) for k, pair in enumerate(lines)]),
+        "pair": np.concatenate(
+            [np.full(len(line.gap), k if k < pairs else -1) for k, line in enumerate(lines)]
+        ),
     }
     grid = cells((VTK_LINE, np.arange(len(points)).reshape(-1, 2)))
     return vtu_bytes(points, grid, {}, cell_data, frame.time)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending, Sampled
 from phantomnode.pipeline.prepare import Floats, Prepared
@@ -24,8 +25,8 @@ class History(Sampled):
     Numbers are written with ``repr``: read back, they are the same float64 to the bit. SI units, forces and
     energies per metre of thickness. ``contact.NAME.fx`` is the force on the slave, ``reaction.NAME.fx`` the
     force that a boundary exerts (0 in a direction that it leaves free), ``body.NAME.ux`` the displacement of
-    the centre of mass; the impulses ``contact.NAME.ix`` since the start and the energies dissipated so far
-    close the line.
+    the centre of mass; then the impulses ``contact.NAME.ix`` since the start, the energies dissipated so far,
+    and of pairs with friction the part ``contact.NAME.tx`` of the force that is tangential.
 
     Parameters
     ----------
@@ -64,6 +65,7 @@ def columns(prepared: Prepared) -> list[str]:
         *(f"body.{body.name}.{value}" for body in prepared.bodies for value in ("ux", "uy", "vx", "vy")),
         *(f"contact.{pair.name}.i{axis}" for pair in prepared.pairs for axis in "xy"),
         *DISSIPATED,
+        *(f"contact.{pair.name}.t{axis}" for pair in prepared.pairs if pair.friction > 0.0 for axis in "xy"),
     ]
 
 
@@ -80,7 +82,22 @@ def row(prepared: Prepared, frame: Frame) -> list[float]:
         values.extend(centre(mass, frame.v[body.nodes]))
     values.extend(frame.pair_impulse.ravel())
     values.extend(getattr(energies, name) for name in DISSIPATED)
+    for pair in prepared.pairs:
+        if pair.friction > 0.0:
+            values.extend(tangential_force(prepared, pair, frame))
     return values
+
+
+def tangential_force(prepared: Prepared, pair: Pair, frame: Frame) -> Floats:
+    """(2,) Friction of a pair on its slave, N/m; what the points of a second pass feel is on the master."""
+    first = prepared.model.contact.slave_first
+    signs = (1.0, -1.0)
+    return np.asarray(
+        sum(
+            sign * frame.tangential[first[k] : first[k + 1]].sum(axis=0)
+            for sign, k in zip(signs, pair.passes, strict=False)
+        )
+    )
 
 
 def centre(mass: Floats, nodal: Floats) -> Floats:

@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from phantomnode.pipeline.schema import Case
-from phantomnode.pipeline.values import NAME_PATTERN, PLACE_PATTERN
+from phantomnode.pipeline.values import NAME_PATTERN, PLACE_OR_NAME_PATTERN, PLACE_PATTERN
 
 Keys = tuple[int | str, ...]
 
@@ -136,6 +136,7 @@ def _fault(error: ErrorDetails) -> str:
 
 _PATTERNS = {
     NAME_PATTERN: "must be a name of letters, digits, _ and -, a letter first",
+    PLACE_OR_NAME_PATTERN: 'must be "NAME.PART", as in "block.top", or the name of a rigid obstacle',
     PLACE_PATTERN: 'must be "NAME.PART", the name of a body or interface and its part, as in "ring.outer"',
 }
 _TAGS = {"=number": "a number", "=text": "text in quotes", "=table": "a table", "=list": "a list"}

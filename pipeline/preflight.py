@@ -51,7 +51,8 @@ def report(prepared: Prepared) -> RenderableType:
     if prepared.pairs:
         parts.append(
             _table(
-                ("contact", "slave", "master", "segments", "points", "penalty, Pa/m"), _pair_rows(prepared)
+                ("contact", "slave", "master", "segments", "points", "penalty, Pa/m", "friction"),
+                _pair_rows(prepared),
             )
         )
     if prepared.boundaries:
@@ -97,9 +98,11 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 
 def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
-    for pair, penalty in zip(prepared.pairs, prepared.model.contact.penalty, strict=True):
-        points = pair.points.stop - pair.points.start
-        yield pair.name, pair.slave, pair.master, str(len(pair.segment_nodes)), str(points), f"{penalty:.4g}"
+    for pair in prepared.pairs:
+        points, penalty = pair.points.stop - pair.points.start, prepared.model.contact.penalty[pair.passes[0]]
+        counts = str(len(pair.segment_nodes)), str(points)
+        stiffness = f"{penalty * pair.share:.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
+        yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}"
 
 
 def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:

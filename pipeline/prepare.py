@@ -10,29 +10,22 @@ from numpy.typing import NDArray
 from phantomnode.geometry.curves import Curve, Region
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.geometry.grid import BackgroundGrid
-from phantomnode.geometry.levelset import LevelSet
-from phantomnode.pipeline.assembly import (
-    POINTS_PER_SEGMENT,
-    PairSurfaces,
-    joined_contact,
-    pair_surfaces,
-)
 from phantomnode.pipeline.bodies import CutBody, at, cut_body
+from phantomnode.pipeline.contacts import Pair, contact_passes, offsets, own_reach, reported_pairs
 from phantomnode.pipeline.elements import element_lists
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.expressions import time_function
-from phantomnode.pipeline.motion import Channel, PrescribedMotion
+from phantomnode.pipeline.motion import Channel, Kind, PrescribedMotion
+from phantomnode.pipeline.pairing import ContactPass, joined_contact
+from phantomnode.pipeline.rigid import Rigid, rigid_obstacles
 from phantomnode.pipeline.scaling import heavy_bodies, largest_jump, scaled
 from phantomnode.pipeline.schema import Boundary as BoundaryTable
-from phantomnode.pipeline.schema import Case
-from phantomnode.pipeline.schema import Contact as ContactTable
+from phantomnode.pipeline.schema import Case, Directions
 from phantomnode.pipeline.step import run_step
-from phantomnode.pipeline.surfaces import Surface, nodes_on_edges, surface
+from phantomnode.pipeline.surfaces import nodes_on_edges, surface
 from phantomnode.pipeline.xfem import MassMatrix, classic_xfem
-from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.mass_scaling import lumped_mass
 from phantomnode.solver.model import Model
-from phantomnode.solver.search import prepare_search
 from phantomnode.solver.timestep import StepEstimate, stable_step
 
 Floats = NDArray[np.float64]
@@ -75,35 +68,8 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """One contact pair: where its slave segments are, for the output.
-
-    Attributes
-    ----------
-    name, slave, master : str
-        Names as in the case file.
-    segment_nodes : (s, 4) int64
-        Model nodes of the parent element of each slave segment.
-    start_shape, end_shape : (s, 4) float64
-        Shape functions at the ends of each segment.
-    points : slice
-        Its slave points in the model; ``points_per_segment`` to each segment, in the order of the segments.
-    points_per_segment : int
-    """
-
-    name: str
-    slave: str
-    master: str
-    segment_nodes: Ints
-    start_shape: Floats
-    end_shape: Floats
-    points: slice
-    points_per_segment: int
-
-
-@dataclass(frozen=True)
 class Boundary:
-    """One boundary condition: the rows of the prescribed motion that it fills, -1 where a direction is free."""
+    """One boundary condition, or a rigid obstacle: the rows of the prescribed motion that it fills, -1 where free."""
 
     name: str
     channels: tuple[int, int]
@@ -132,6 +98,8 @@ class Prepared:
         Resolution limits and the like, to be shown and logged.
     xfem : MassMatrix or None
         The mass matrix of classic X-FEM, where the case asks for it.
+    rigids : tuple of Rigid
+        Rigid obstacles; their nodes follow those of the bodies.
     """
 
     case: Case
@@ -145,13 +113,7 @@ class Prepared:
     dt: float
     warnings: tuple[str, ...]
     xfem: MassMatrix | None = None
-
-
-OVERLAP = 1e-6
-"""Depth, in cell sizes, up to which surfaces touch at the start and do not overlap (the lattice: 2e-7)."""
-
-AUTO_PENALTY = 5.0
-"""The automatic penalty in E/h: 1 to 10 is the range where it is stiff and the pressure still smooth."""
+    rigids: tuple[Rigid, ...] = ()
 
 
 def prepare(case: Case) -> Prepared:
@@ -166,29 +128,28 @@ def prepare(case: Case) -> Prepared:
     cut = {name: cut_body(case, name) for name in case.body}
     bodies = _bodies(case, cut)
     first_node = {body.name: body.nodes.start for body in bodies}
-    surfaces = {
-        name: tuple(surface(place, cut, f"contact.{name}.{end}") for end, place in _ends(pair))
-        for name, pair in case.contact.items()
-    }
-    contact = [pair_surfaces(slave, master, cut, first_node) for slave, master in surfaces.values()]
-    channel, motion, boundaries = _boundaries(case, cut, bodies)
-    model = _model(case, cut, bodies, surfaces, contact, channel, len(motion.channels))
-    model = model._replace(contact=model.contact._replace(offset=_offsets(case, cut, surfaces, model)))
+    rigids = rigid_obstacles(case, cut, bodies[-1].nodes.stop)
+    passes = contact_passes(case, cut, first_node, rigids)
+    channel, motion, boundaries = _boundaries(case, cut, bodies, rigids)
+    model = _model(case, bodies, rigids, passes, channel, len(motion.channels))
+    contact, thin = own_reach(case, model)
+    model = model._replace(contact=contact)
+    model = model._replace(contact=contact._replace(offset=offsets(case, cut, passes, model)))
     jump = largest_jump(case, motion)
     model = scaled(case, model, jump)
     estimate, xfem = stable_step(model, case.time.safety, jump), None
     if case.method == "xfem":
         model, estimate, xfem = classic_xfem(case, bodies, model)
     dt = run_step(case, estimate)
-    velocity = np.vstack([np.tile(case.body[b.name].initial_velocity, (len(b.mesh.xy), 1)) for b in bodies])
-    warnings = (*(note for body in cut.values() for note in body.notes), *heavy_bodies(bodies, model))
-    pairs = _pairs(case, contact)
-    return Prepared(case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings, xfem)
-
-
-def _ends(pair: ContactTable) -> tuple[tuple[str, str], tuple[str, str]]:
-    """The two surfaces of a pair with their keys."""
-    return ("slave", pair.slave), ("master", pair.master)
+    velocity = np.zeros_like(model.x)
+    for body in bodies:
+        velocity[body.nodes] = case.body[body.name].initial_velocity
+    notes = (note for body in cut.values() for note in body.notes)
+    warnings = (*notes, *thin, *heavy_bodies(bodies, model))
+    pairs = reported_pairs(case, cut, passes)
+    return Prepared(
+        case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings, xfem, rigids
+    )
 
 
 def _bodies(case: Case, cut: dict[str, CutBody]) -> tuple[Body, ...]:
@@ -217,67 +178,38 @@ def _bodies(case: Case, cut: dict[str, CutBody]) -> tuple[Body, ...]:
 
 def _model(
     case: Case,
-    cut: dict[str, CutBody],
     bodies: tuple[Body, ...],
-    surfaces: dict[str, tuple[Surface, ...]],
-    contact: list[PairSurfaces],
+    rigids: tuple[Rigid, ...],
+    passes: list[ContactPass],
     channel: Ints,
     channels: int,
 ) -> Model:
     """The arrays of all bodies behind each other, with a quarter of each element's mass on its nodes."""
     lists = element_lists(case, bodies)
-    penalty = [_penalty(case, name, cut, *pair) for name, pair in surfaces.items()]
-    reach = [max(cut[surface.body].grid.cell_size for surface in pair) for pair in surfaces.values()]
+    obstacles = [rigid.xy for rigid in rigids]
+    x = np.vstack([lists.x, *obstacles])
+    load = np.vstack([lists.load, *(np.zeros_like(xy) for xy in obstacles)])
     return Model(
-        x=lists.x,
-        mass=lumped_mass(len(lists.x), lists.elements, lists.cut_elements),
-        load=lists.load,
+        x=x,
+        mass=lumped_mass(len(x), lists.elements, lists.cut_elements),
+        load=load,
         channel=channel,
         channels=channels,
         elements=lists.elements,
         cut_elements=lists.cut_elements,
-        contact=joined_contact(contact, np.array(penalty, dtype=float), np.array(reach, dtype=float)),
+        contact=joined_contact(passes),
         full=lists.full,
         damping=lists.damping,
     )
 
 
-def _penalty(case: Case, name: str, cut: dict[str, CutBody], slave: Surface, master: Surface) -> float:
-    """The penalty of a pair, Pa/m."""
-    penalty = case.contact[name].penalty
-    moduli = [case.material[case.body[surface.body].material].E for surface in (slave, master)]
-    if isinstance(penalty, str):
-        return AUTO_PENALTY * min(moduli) / cut[slave.body].grid.typical_size
-    return penalty.value if penalty.value is not None else float(penalty.times_E or 0.0) * moduli[0]
-
-
-def _pairs(case: Case, contact: list[PairSurfaces]) -> tuple[Pair, ...]:
-    """The contact pairs with the places of their slave points in the model."""
-    pairs, first = [], 0
-    for (name, table), surfaces in zip(case.contact.items(), contact, strict=True):
-        points = slice(first, first + len(surfaces.weight))
-        first = points.stop
-        pairs.append(
-            Pair(
-                name=name,
-                slave=table.slave,
-                master=table.master,
-                segment_nodes=surfaces.slave_nodes,
-                start_shape=surfaces.slave_start,
-                end_shape=surfaces.slave_end,
-                points=points,
-                points_per_segment=POINTS_PER_SEGMENT,
-            )
-        )
-    return tuple(pairs)
-
-
 def _boundaries(
-    case: Case, cut: dict[str, CutBody], bodies: tuple[Body, ...]
+    case: Case, cut: dict[str, CutBody], bodies: tuple[Body, ...], rigids: tuple[Rigid, ...]
 ) -> tuple[Ints, PrescribedMotion, tuple[Boundary, ...]]:
     """Which motion holds each degree of freedom of the model, real and phantom nodes alike."""
     offset = {body.name: body.nodes.start for body in bodies}
-    channel = np.full((bodies[-1].nodes.stop, 2), -1, dtype=np.int64)
+    count = rigids[-1].nodes.stop if rigids else bodies[-1].nodes.stop
+    channel = np.full((count, 2), -1, dtype=np.int64)
     channels: list[Channel] = []
     boundaries: list[Boundary] = []
     for name, table in case.boundary.items():
@@ -298,6 +230,11 @@ def _boundaries(
             channel[nodes, axis] = len(channels)
             channels.append(made)
         boundaries.append(Boundary(name, (rows[0], rows[1]), nodes))
+    for rigid in rigids:
+        nodes, row = np.arange(rigid.nodes.start, rigid.nodes.stop), len(channels)
+        channel[nodes] = (row, row + 1)
+        channels += _rigid_channels(case, rigid.name)
+        boundaries.append(Boundary(rigid.name, (row, row + 1), nodes))
     return channel, PrescribedMotion(tuple(channels)), tuple(boundaries)
 
 
@@ -324,64 +261,44 @@ def _span(xy: Floats) -> str:
 def _channels(case: Case, name: str, table: BoundaryTable, body: str) -> list[Channel | None]:
     """The motions of a boundary in x and y."""
     made: list[Channel | None] = []
-    for kind in ("displacement", "velocity", "acceleration"):
+    kinds: tuple[Kind, ...] = ("displacement", "velocity", "acceleration")
+    for kind in kinds:
         directions = getattr(table, kind)
-        if directions is None:
-            continue
-        for axis, value in enumerate((directions.x, directions.y)):
-            key = f"boundary.{name}.{kind}.{'xy'[axis]}"
-            if value is None:
-                made.append(None)
-                continue
-            function = time_function(value)
-            with at(case, key):
-                start = float(function(np.zeros(1))[0])
-                function(np.linspace(0.0, case.time.end, 1001))  # finite over the whole run
-            if kind == "displacement" and start != 0.0:
-                raise CaseError(
-                    f"{key}: the displacement is {start:g} m at t = 0, a jump; let it start from 0, "
-                    f'for instance "{start:g}*min(t/{0.1 * case.time.end:g}, 1)"'
-                )
-            made.append(Channel(kind, function, case.body[body].initial_velocity[axis]))
+        if directions is not None:
+            velocity = case.body[body].initial_velocity
+            made += _directions(case, f"boundary.{name}.{kind}", kind, directions, velocity)
     return made
 
 
-def _offsets(
-    case: Case, cut: dict[str, CutBody], surfaces: dict[str, tuple[Surface, ...]], model: Model
-) -> Floats:
-    """(g,) The depth of each slave point at the start, where the case says that it counts as touching.
+def _rigid_channels(case: Case, name: str) -> list[Channel]:
+    """The motions of a rigid obstacle in x and y; at rest where none is given."""
+    table, rest = case.rigid[name], Channel("displacement", np.zeros_like)
+    given: list[Channel | None] = [None, None]
+    if table.displacement is not None:
+        given = _directions(case, f"rigid.{name}.displacement", "displacement", table.displacement)
+    elif table.velocity is not None:
+        given = _directions(case, f"rigid.{name}.velocity", "velocity", table.velocity)
+    return [rest if made is None else made for made in given]
 
-    Surfaces that overlap otherwise are refused: each millimetre would add energy eps g^2/2 from nothing.
-    """
-    contact = model.contact
-    gaps = initial_state(model, np.zeros_like(model.x), prepare_search(contact)).gap
-    offsets = np.zeros(len(gaps))
-    for k, (name, (slave, master)) in enumerate(surfaces.items()):
-        points = slice(*contact.slave_first[k : k + 2])
-        depth = np.maximum(gaps[points], 0.0)
-        ends = cut[slave.body].mesh.segments.ends[slave.segments]
-        middle = np.repeat(ends.mean(axis=1), POINTS_PER_SEGMENT, axis=0)
-        inside = np.zeros(len(depth))
-        if slave.body != master.body:  # the drawing tells beyond the reach of the search, too
-            inside = LevelSet.of_regions(cut[master.body].regions).distance(middle)
-        worst = int(np.argmax(np.maximum(depth, inside)))
-        deepest, here = (
-            max(depth[worst], inside[worst]),
-            f"({middle[worst, 0]:.6g}, {middle[worst, 1]:.6g}) m",
-        )
-        if deepest <= OVERLAP * cut[slave.body].grid.cell_size:
+
+def _directions(
+    case: Case, key: str, kind: Kind, directions: Directions, velocity: tuple[float, float] = (0.0, 0.0)
+) -> list[Channel | None]:
+    """The motion in x and in y, None where it is not given."""
+    made: list[Channel | None] = []
+    for axis, value in enumerate((directions.x, directions.y)):
+        here = f"{key}.{'xy'[axis]}"
+        if value is None:
+            made.append(None)
             continue
-        table = case.contact[name]
-        if table.overlap == "refuse":
+        function = time_function(value)
+        with at(case, here):
+            start = float(function(np.zeros(1))[0])
+            function(np.linspace(0.0, case.time.end, 1001))  # finite over the whole run
+        if kind == "displacement" and start != 0.0:
             raise CaseError(
-                f"contact.{name}: {table.slave} and {table.master} overlap at the start by {deepest:.3g} m near "
-                f"{here}: move one of the bodies (geometry move = [dx, dy]), or measure gaps from this state "
-                '(overlap = "offset")'
+                f"{here}: the displacement is {start:g} m at t = 0, a jump; let it start from 0, "
+                f'for instance "{start:g}*min(t/{0.1 * case.time.end:g}, 1)"'
             )
-        if deepest > contact.reach[k] / 2.0:
-            raise CaseError(
-                f"contact.{name}: {table.slave} lies {deepest:.3g} m deep in {table.master} near {here}, more than "
-                "half a cell, which no offset can stand for: move one of the bodies (geometry move = [dx, dy])"
-            )
-        offsets[points] = depth
-    return offsets
+        made.append(Channel(kind, function, velocity[axis]))
+    return made

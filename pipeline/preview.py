@@ -141,7 +141,8 @@ def _draw_contact(axes: Axes, prepared: Prepared) -> None:
     def ends(nodes: NDArray[np.int64], start: Floats, end: Floats) -> Floats:
         return np.stack([np.einsum("si,sik->sk", shape, x[nodes]) for shape in (start, end)], axis=1)
 
-    for k, pair in enumerate(prepared.pairs):
+    for pair in prepared.pairs:
+        k = pair.passes[0]
         master = slice(contact.master_first[k], contact.master_first[k + 1])
         lines = ends(contact.master_nodes[master], contact.start_shape[master], contact.end_shape[master])
         _lines(axes, lines, color=MASTER, linewidths=1.8, label=f"master of {pair.name} (whole outline)")

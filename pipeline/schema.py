@@ -25,6 +25,7 @@ from phantomnode.pipeline.values import (
     Name,
     Number,
     Place,
+    PlaceOrName,
     Positive,
     Switch,
     Table,
@@ -96,15 +97,60 @@ class Penalty(Table):
         return self
 
 
+class SlavePoints(Table):
+    """Where the points of a slave segment stand."""
+
+    rule: Literal["gauss", "newton-cotes"] = Field(
+        default="gauss", description='"gauss", or "newton-cotes": equally spaced from end to end'
+    )
+    count: Annotated[int, Field(strict=True, ge=1, le=32)] = Field(
+        default=2, description="points on each slave segment"
+    )
+
+    @model_validator(mode="after")
+    def _sound(self) -> SlavePoints:
+        if self.rule == "newton-cotes" and self.count == 2:
+            raise ValueError(
+                "two Newton-Cotes points are the ends of the segment alone: one that lies on a vertex of the master "
+                "takes either of two normals, a spurious side force; take count = 3, or the Gauss rule"
+            )
+        if self.rule == "newton-cotes" and self.count in (9, *range(11, 33)):
+            raise ValueError(
+                f"{self.count} Newton-Cotes points have negative weights, springs that pull; take at most 8, or 10, "
+                "or the Gauss rule"
+            )
+        return self
+
+
 class Contact(Table):
     """A contact pair: points of the slave do not pass the surface of the master."""
 
     slave: Place = Field(description='surface whose points are held, "BODY.PART", as "ring.outer"')
-    master: Place = Field(description='surface that holds them, "BODY.PART" or "INTERFACE.plus"')
+    master: PlaceOrName = Field(
+        description='surface that holds them, "BODY.PART", "INTERFACE.plus" or the name of a [rigid] obstacle; '
+        "the slave's own name for self contact"
+    )
     penalty: Annotated[
         Annotated[Literal["auto"], Tag("=text")] | Annotated[Penalty, Tag("=table")],
         Discriminator(kind_of_value),
     ] = Field(default="auto", description='"auto" (5 E/h), { times_E = 100 } or { value = 1e12 } in Pa/m')
+    friction: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0)] = Field(
+        default=0.0, description="Coulomb's coefficient"
+    )
+    tangential_penalty: Annotated[
+        Annotated[Literal["auto"], Tag("=text")] | Annotated[Penalty, Tag("=table")],
+        Discriminator(kind_of_value),
+    ] = Field(
+        default="auto",
+        description='of the stick: "auto" (the normal penalty), { times_E = 100 } or { value = 1e12 } in Pa/m',
+    )
+    points: SlavePoints = Field(
+        default=SlavePoints(),
+        description='{ rule = "gauss" or "newton-cotes", count = n } on each slave segment',
+    )
+    passes: Annotated[int, Field(strict=True, ge=1, le=2)] = Field(
+        default=1, description="2: the master's points against the slave as well, each at half the penalty"
+    )
     overlap: Literal["refuse", "offset"] = Field(
         default="refuse", description="what to do where the surfaces overlap at the start"
     )
@@ -195,6 +241,26 @@ class Xfem(Table):
         default="heaviside",
         description="H = -1 or +1 (Eq. 8), or shifted so that it vanishes at the nodes; matters to lumped mass",
     )
+
+
+class Rigid(Table):
+    """A rigid obstacle: a curve without a mesh, at rest or moved."""
+
+    geometry: CurveGeometry = Field(description="a file, one shape or a function, and where it goes")
+    side: Literal["left", "right"] = Field(
+        default="left",
+        description="where the obstacle is: left of the curve as it runs, inside a closed one; or the other side",
+    )
+    displacement: Directions | None = Field(default=None, description="m; at rest unless given")
+    velocity: Directions | None = Field(default=None, description="m/s")
+
+    @model_validator(mode="after")
+    def _one_motion(self) -> Rigid:
+        if self.displacement is not None and self.velocity is not None:
+            raise ValueError(
+                "displacement and velocity are both given; give one, or none for an obstacle at rest"
+            )
+        return self
 
 
 class Relocation(Table):
@@ -338,6 +404,7 @@ class Case(Table):
     body: dict[Name, Body] = Field(min_length=1, description="one table for each body")
     interface: dict[Name, Interface] = Field(default={}, description="curves that split bodies")
     contact: dict[Name, Contact] = Field(default={}, description="contact pairs")
+    rigid: dict[Name, Rigid] = Field(default={}, description="rigid obstacles given by curves")
     boundary: dict[Name, Boundary] = Field(default={}, description="prescribed motions")
     method: Literal["phantom", "xfem"] = Field(
         default="phantom", description="phantom nodes, or classic X-FEM for comparison (without contact)"

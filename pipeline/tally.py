@@ -178,12 +178,13 @@ def small_elements(prepared: Prepared) -> NDArray[np.intp]:
     return np.flatnonzero(fraction < table.alpha_below)
 
 
-def pair_bodies(prepared: Prepared, pair: int) -> tuple[Body, Body]:
-    """The bodies that carry the slave and the master side of a contact pair."""
-    contact = prepared.model.contact
-    slave = contact.slave_nodes[contact.slave_first[pair], 0]
-    master = contact.master_nodes[contact.master_first[pair], 0]
-    return body_of_node(prepared, int(slave)), body_of_node(prepared, int(master))
+def pair_bodies(prepared: Prepared, pair: int) -> tuple[Body, Body | None]:
+    """The bodies that carry the slave and the master side of a contact pair; None is a rigid obstacle."""
+    contact, first = prepared.model.contact, prepared.pairs[pair].passes[0]
+    slave = body_of_node(prepared, int(contact.slave_nodes[contact.slave_first[first], 0]))
+    master = body_of_node(prepared, int(contact.master_nodes[contact.master_first[first], 0]))
+    assert slave is not None  # obstacles have no slave points
+    return slave, master
 
 
 def crossing_time(prepared: Prepared, body: Body) -> float:
@@ -199,6 +200,7 @@ def crossing_time(prepared: Prepared, body: Body) -> float:
     return float(np.max(np.ptp(boxes, axis=(0, 1))) / np.sqrt(modulus / body.rho))
 
 
-def body_of_node(prepared: Prepared, node: int) -> Body:
-    """The body to which a node of the model belongs."""
-    return next(body for body in prepared.bodies if body.nodes.start <= node < body.nodes.stop)
+def body_of_node(prepared: Prepared, node: int) -> Body | None:
+    """The body to which a node of the model belongs; None for a node of a rigid obstacle."""
+    owners = (body for body in prepared.bodies if body.nodes.start <= node < body.nodes.stop)
+    return next(owners, None)

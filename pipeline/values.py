@@ -15,6 +15,7 @@ from phantomnode.pipeline import expressions
 
 NAME_PATTERN = r"^[A-Za-z_][A-Za-z0-9_-]*$"
 PLACE_PATTERN = r"^[A-Za-z_][A-Za-z0-9_-]*\.\S(.*\S)?$"
+PLACE_OR_NAME_PATTERN = r"^[A-Za-z_][A-Za-z0-9_-]*(\.\S(.*\S)?)?$"
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0.0)]
@@ -24,6 +25,7 @@ Vector = tuple[Number, Number]
 Counts = tuple[Count, Count]
 Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 Place = Annotated[str, Field(pattern=PLACE_PATTERN)]
+PlaceOrName = Annotated[str, Field(pattern=PLACE_OR_NAME_PATTERN)]
 
 
 def kind_of_value(value: Any) -> str:

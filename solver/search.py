@@ -259,3 +259,24 @@ def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> 
         near_first[k + 1] = count
     built_slave, built_master = rows_of(u, search.slave_nodes), rows_of(u, search.master_nodes)
     return Candidates(near, near_first, first, segments, built_slave, built_master)
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_wall(contact: Contact, k: int, x: Floats) -> float:
+    """Smallest distance, m, from a slave point of pair k to a segment within reach that faces away from it.
+
+    In the reference configuration x, (n, 2), without the neighbourhood of each point along its own curve;
+    infinite where there is none.
+    """
+    wall, still = math.inf, np.zeros_like(x)
+    ends = segment_ends(contact, contact.master_first[k], contact.master_first[k + 1], x, still)
+    for g in range(contact.slave_first[k], contact.slave_first[k + 1]):
+        px, py = position(contact.slave_nodes[g], contact.slave_shape[g], x, still)
+        for s in range(len(ends)):
+            ax, ay, bx, by = ends[s, 0], ends[s, 1], ends[s, 2], ends[s, 3]
+            faces_away = (ax - px) * (by - ay) - (ay - py) * (bx - ax) > 0.0
+            if faces_away and not own_neighbourhood(contact, k, g, contact.master_first[k] + s):
+                d2, _ = closest(px, py, ax, ay, bx, by)
+                if d2 < wall * wall and d2 < contact.reach[k] * contact.reach[k]:
+                    wall = math.sqrt(d2)
+    return wall

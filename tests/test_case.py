@@ -195,7 +195,47 @@ def test_a_case_is_read_with_its_defaults(file: Path) -> None:
         ("contact.pair.slave=disk.outer", r"no body or interface 'disk' \(did you mean 'disc'\?\)"),
         ("contact.pair.slave=disc", r'must be "NAME\.PART"'),
         ("contact.pair.master=mid.top", r"the sides of an interface are mid\.plus and mid\.minus"),
-        ("contact.pair.master=disc.outer", r"slave and master are both"),
+        (
+            "contact.pair={slave='mid.plus',master='mid.plus'}",
+            r"a side of an interface, which cannot touch itself",
+        ),
+        ("contact.pair.master=floor", r"there is no body or interface 'floor'"),
+        ("contact.pair.master=block", r"name a part of it, as in \"block\.outer\""),
+        ("contact.pair={slave='disc.outer',master='disc.outer',passes=2}", r"self contact tests every point"),
+        ("contact.pair.friction=-0.1", r"contact\.pair\.friction = -0\.1: must be at least 0"),
+        (
+            "contact.pair.tangential_penalty={value=0}",
+            r"tangential_penalty\.value = 0: must be greater than 0",
+        ),
+        ("contact.pair.tangential_penalty=soft", r'tangential_penalty = "soft": must be "auto"'),
+        ("contact.pair.passes=3", r"contact\.pair\.passes = 3: must be at most 2"),
+        ("contact.pair.points.rule=simpson", r'"gauss" or "newton-cotes"'),
+        ("contact.pair.points={rule='newton-cotes',count=2}", r"the ends of the segment alone"),
+        ("contact.pair.points={rule='newton-cotes',count=9}", r"negative weights"),
+        ("contact.pair.points.count=0", r"points\.count = 0: must be at least 1"),
+        # rigid obstacles
+        (
+            "rigid.wall={geometry={polyline={points=[[0,0],[1,0]]}}}",
+            r"rigid\.wall: no contact has it as its master",
+        ),
+        (
+            "rigid.disc={geometry={circle={centre=[0,0],radius=1}}}",
+            r"rigid\.disc: there is a body of this name",
+        ),
+        ("rigid.wall={geometry={function='x'}}", r"a function needs its range"),
+        (
+            "rigid.wall={geometry={file='a.dxf'}}",
+            r'rigid\.wall\.geometry\.file = "a\.dxf": there is no such file',
+        ),
+        ("rigid.wall={geometry={polyline={points=[[0,0],[1,0]]}},side='up'}", r'"left" or "right"'),
+        (
+            "rigid.wall={geometry={polyline={points=[[0,0],[1,0]]}},displacement={x=0},velocity={y=1}}",
+            r"displacement and velocity are both given",
+        ),
+        (
+            "rigid.wall={geometry={polyline={points=[[0,0],[1,0]]}},displacement={y='1-t'}}",
+            r"rigid\.wall\.displacement\.y: the displacement at t = 0 is 1 m",
+        ),
         ("contact.pair.overlap=ofset", r'"refuse" or "offset" \(did you mean \'offset\'\?\)'),
         (
             "boundary.base.on={body='b',box=[[0,0],[1,1]]}",
