@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from phantomnode.geometry.levelset import LevelSet
 from phantomnode.pipeline.bodies import CutBody
+from phantomnode.pipeline.contact_tables import Contact as ContactTable
+from phantomnode.pipeline.contact_tables import Penalty
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.pairing import ContactPass, SlaveSide, master_side, slave_side
 from phantomnode.pipeline.rigid import Rigid
-from phantomnode.pipeline.schema import Case, Penalty
-from phantomnode.pipeline.schema import Contact as ContactTable
+from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.smoothing import hat_filter
 from phantomnode.pipeline.surfaces import Surface, surface
 from phantomnode.solver.contact import depth_at, nearest_segment

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from phantomnode.pipeline.contact_tables import Contact
 from phantomnode.pipeline.expressions import ExpressionError, time_function
 from phantomnode.pipeline.messages import listed, shown, suggestion
-from phantomnode.pipeline.schema import Boundary, BoxOn, Case, Contact, Hourglass, Rigid
+from phantomnode.pipeline.schema import Boundary, BoxOn, Case, Hourglass, Rigid
 from phantomnode.pipeline.shapes import FileGrid, MappedGrid
 from phantomnode.pipeline.values import Table
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from phantomnode.geometry.bilinear import shape, to_local
 from phantomnode.geometry.doubling import BoundarySegments
 from phantomnode.pipeline.bodies import CutBody
-from phantomnode.pipeline.schema import SlavePoints
+from phantomnode.pipeline.contact_tables import SlavePoints
 from phantomnode.pipeline.surfaces import Surface, closed_surface
 from phantomnode.pipeline.traces import traces
 from phantomnode.solver.model import Contact

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from phantomnode.pipeline.case import case_from_table
+from phantomnode.pipeline.contact_tables import SlavePoints
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import contact_lines
 from phantomnode.pipeline.history import columns, row
 from phantomnode.pipeline.pairing import point_rule
 from phantomnode.pipeline.prepare import prepare
-from phantomnode.pipeline.schema import SlavePoints
 from phantomnode.pipeline.smoothing import hat_filter
 from phantomnode.solver.explicit import frames
 from phantomnode.solver.timestep import stable_step
