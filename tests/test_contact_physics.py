@@ -75,14 +75,14 @@ def split_block(counts, y):
     )
 
 
-def stacked(heights, grids):
+def stacked(heights, grids, **pair):
     """Blocks of unit width on top of each other, each on its own grid."""
     levels = np.concatenate([[0.0], np.cumsum(heights)])
     bodies = {
         f"b{k}": rectangle((0.0, levels[k]), (1.0, levels[k + 1]), grid) for k, grid in enumerate(grids)
     }
     contact = {
-        f"c{k}": {"slave": f"b{k + 1}.bottom", "master": f"b{k}.top", **PAIR_100E}
+        f"c{k}": {"slave": f"b{k + 1}.bottom", "master": f"b{k}.top", **PAIR_100E, **pair}
         for k in range(len(heights) - 1)
     }
     shared = {"whole": cartesian(0.1, box=[[0.0, 0.0], [1.0, 1.0]])}
@@ -108,12 +108,17 @@ def test_split_block_is_the_closed_form_on_matching_sides(counts, y):
     np.testing.assert_allclose(reactions, [force, -force], rtol=1e-5)
 
 
-def test_block_on_block_of_another_grid():
-    """11 cells on 14: the force within 1e-3, the pressure within 10 % (two points on a segment)."""
-    prepared, held = stacked([0.5, 0.5], [cartesian(1.0 / 11), cartesian(1.0 / 14)])
+@pytest.mark.parametrize(("points", "rough"), [(2, 0.1), (4, 0.01)])
+def test_block_on_block_of_another_grid(points, rough):
+    """11 cells on 14: the force within 1e-3, the pressure within 10 % (2 points a segment) or 1 % (4).
+
+    The issue's figures; measured 5e-5 and 1e-6, 5.5 % and 0.7 %.
+    """
+    grids = [cartesian(1.0 / 11), cartesian(1.0 / 14)]
+    prepared, held = stacked([0.5, 0.5], grids, points={"count": points})
     force, pressure = squeezed(1)
     assert mean_force(held)[1] == pytest.approx(force, rel=1e-3)
-    np.testing.assert_allclose(mean_pressure(prepared, held)[1], pressure, rtol=0.1)
+    np.testing.assert_allclose(mean_pressure(prepared, held)[1], pressure, rtol=rough)
 
 
 def test_bodies_on_one_shared_grid_are_a_body_with_an_interface():
