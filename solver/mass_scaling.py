@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.solver.model import CutElements, Elements, Model
-from phantomnode.solver.timestep import contact_rate, element_rates
+from phantomnode.solver.timestep import contact_by_element, element_rates
 
 Floats = NDArray[np.float64]
 
@@ -37,9 +37,10 @@ def scale_mass(model: Model, dt: float, speed: float = 0.0) -> Model:
     ValueError
         Where the contact penalty alone asks for a smaller step.
     """
-    left = 1.0 - 0.25 * dt**2 * contact_rate(model)
-    if not left > 0.0:
-        longest = 2.0 / np.sqrt(contact_rate(model))
+    contact = contact_by_element(model)
+    left = 1.0 - 0.25 * dt**2 * contact
+    if not np.all(left > 0.0):
+        longest = 2.0 / np.sqrt(np.max(contact))
         raise ValueError(f"the contact penalties alone allow steps below {longest:.4g} s only")
     stiffness, viscosity = element_rates(model, speed)
     factor = np.maximum(1.0, (0.25 * dt**2 * stiffness + 0.5 * dt * viscosity) / left)

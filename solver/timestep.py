@@ -22,8 +22,8 @@ class StepEstimate(NamedTuple):
     """A safe time step, dt = safety * 2 (sqrt(1 + xi^2) - xi)/sqrt(element_frequency^2 + contact_frequency^2).
 
     dt, s; element_frequency, rad/s, of the element that limits the step, alone; contact_frequency, rad/s, of the
-    penalty springs with every slave point closed; element: its number (uncut elements first, then cut ones);
-    xi: the part of critical damping that viscosity gives that element.
+    penalty springs at its nodes with every slave point closed; element: its number (uncut elements first, then
+    cut ones); xi: the part of critical damping that viscosity gives that element.
     """
 
     dt: float
@@ -37,8 +37,9 @@ def stable_step(model: Model, safety: float = 0.85, speed: float = 0.0) -> StepE
     """A time step that is safe with every slave point closed.
 
     The largest eigenvalue of the assembled stiffness by the lumped mass is at most the largest one of any
-    element with its own mass, plus that of the contact springs (Rayleigh's quotient, term by term). The
-    step of the elements alone (Eq. 21) is 2.5 to 26 times too long once contact closes. With viscous forces
+    element with its own mass, plus what contact springs add at its nodes (Rayleigh's quotient, element by
+    element, with the springs shared among the elements of a node by their mass). The step of the elements
+    alone (Eq. 21) is 2.5 to 26 times too long once contact closes. With viscous forces
     half a step behind, M - dt/2 C - dt^2/4 K must be positive, which is held element by element likewise.
 
     Parameters
@@ -57,14 +58,14 @@ def stable_step(model: Model, safety: float = 0.85, speed: float = 0.0) -> StepE
     stiffness2, viscosity = element_rates(model, speed)
     if not np.max(stiffness2, initial=0.0) > 0.0:
         raise ValueError("the model has no element that could limit the time step")
-    contact2 = contact_rate(model)
+    contact2 = contact_by_element(model)
     steps = _step_of(stiffness2 + contact2, viscosity)
     element = int(np.argmin(steps))
-    frequency = np.sqrt(stiffness2[element] + contact2)
+    frequency = np.sqrt(stiffness2[element] + contact2[element])
     return StepEstimate(
         dt=float(safety * steps[element]),
         element_frequency=float(np.sqrt(stiffness2[element])),
-        contact_frequency=float(np.sqrt(contact2)),
+        contact_frequency=float(np.sqrt(contact2[element])),
         element=element,
         xi=float(0.5 * viscosity[element] / frequency),
     )
@@ -93,6 +94,12 @@ def element_rates(model: Model, speed: float = 0.0) -> tuple[Floats, Floats]:
     stiffness = np.concatenate([uncut, cut_eigenvalues(model.cut_elements)])
     mass = np.concatenate([model.elements.mass, model.cut_elements.mass])
     return stiffness, _bulk_rates(model, mass, speed) + _hourglass_rates(model, len(mass))
+
+
+def contact_by_element(model: Model) -> Floats:
+    """(e,) The largest of :func:`contact_rates` at the nodes of each element, uncut elements first, 1/s^2."""
+    nodes = np.concatenate([model.elements.nodes, model.cut_elements.nodes])
+    return np.asarray(np.max(contact_rates(model)[nodes], axis=1))
 
 
 def _bulk_rates(model: Model, mass: Floats, speed: float) -> Floats:
@@ -180,26 +187,39 @@ def cut_eigenvalues(cut: CutElements) -> Floats:
     return eigenvalues
 
 
-def contact_rate(model: Model) -> float:
-    """Bound on the largest eigenvalue of the penalty springs, 1/s^2, with every slave point closed.
+def contact_rates(model: Model) -> Floats:
+    """(n,) Bound on what the penalty springs add to the eigenvalues at each node, 1/s^2, with all points closed.
 
-    A point adds eps w to the stiffness of its slave and of its master side, (a - b)^2 <= 2 a^2 + 2 b^2
-    parts the two, rows of shape functions bound each, and the points over a master segment are as long as
-    the segment.
+    A point adds eps w to the stiffness of its slave and of its master side. (a - b)^2 <= (1 + q) a^2 + (1 + 1/q)
+    b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. Rows of shape functions
+    bound each side. Points over the master sides of a vertex weigh what these are long in the mean, and at most
+    one point more: a Gauss point lies within its share of the segment.
     """
-    contact = model.contact
-    stiffness = np.zeros(len(model.mass))
-    penalty = _spring_stiffness(contact)
-    slave_penalty = np.repeat(penalty, np.diff(contact.slave_first))
-    by_point = 2.0 * slave_penalty * contact.slave_weight
-    np.add.at(stiffness, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
+    contact, n = model.contact, len(model.mass)
+    slave, master = np.zeros(n), np.zeros(n)
+    penalty, points = _spring_stiffness(contact), np.diff(contact.slave_first)
+    by_point = np.repeat(penalty, points) * contact.slave_weight
+    np.add.at(slave, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
     corners = model.x[contact.master_nodes]
     along = np.einsum("si,sia->sa", contact.end_shape - contact.start_shape, corners)
-    by_segment = 2.0 * np.repeat(penalty, np.diff(contact.master_first)) * np.hypot(*along.T)
-    middle = 0.5 * (contact.start_shape + contact.end_shape)
-    np.add.at(stiffness, contact.master_nodes, by_segment[:, None] * middle)
+    segments = np.diff(contact.master_first)
+    heaviest = np.zeros(len(penalty))
+    np.maximum.at(heaviest, np.repeat(np.arange(len(penalty)), points), contact.slave_weight)
+    # Half a segment and half a point at each end: the other half is that of the neighbour, or of no one.
+    half = 0.5 * np.repeat(penalty, segments) * np.hypot(*along.T)
+    extra = np.repeat(penalty * heaviest, segments)
+    first = np.where(contact.previous < 0, extra, 0.5 * extra)
+    last = np.where(contact.following < 0, extra, 0.5 * extra)
+    np.add.at(master, contact.master_nodes, (half + first)[:, None] * contact.start_shape)
+    np.add.at(master, contact.master_nodes, (half + last)[:, None] * contact.end_shape)
     heavy = model.mass > 0.0  # the nodes of rigid obstacles have none, and do not swing
-    return float(np.max(stiffness[heavy] / model.mass[heavy], initial=0.0))
+    slave, master = (
+        np.where(heavy, side / np.where(heavy, model.mass, 1.0), 0.0) for side in (slave, master)
+    )
+    if not np.max(slave, initial=0.0) > 0.0 or not np.max(master) > 0.0:
+        return slave + master  # nothing to part: one side is rigid, or there is no contact
+    ratio = np.max(master) / np.max(slave)
+    return np.asarray((1.0 + ratio) * slave + (1.0 + 1.0 / ratio) * master)
 
 
 def _spring_stiffness(contact: Contact) -> Floats:

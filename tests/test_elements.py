@@ -91,6 +91,64 @@ def test_forces_agree_with_the_numpy_twin(columns):
     assert smallest == pytest.approx(element_stress(e, u)[2].min(), rel=1e-14)
 
 
+def strain_energy(f, lame, shear):
+    """lambda/2 (ln J)^2 + mu |ln V|^2 by eigenvalues, and P = tau F^-T; (p, 2, 2) F."""
+    values, vectors = np.linalg.eigh(f @ f.transpose(0, 2, 1))
+    logs = np.log(values)
+    log_b = np.einsum("pik,pk,pjk->pij", vectors, logs, vectors)
+    log_j = 0.5 * logs.sum(axis=1)
+    energy = 0.5 * lame * log_j**2 + 0.25 * shear * np.sum(logs**2, axis=1)
+    tau = (lame * log_j)[:, None, None] * np.eye(2) + shear[:, None, None] * log_b
+    return energy, tau @ np.linalg.inv(f).transpose(0, 2, 1), tau, log_b
+
+
+def random_cut_elements(count=90):
+    """More points than one block holds, three to nine an element; strains on both sides of the series' limit."""
+    rng = np.random.default_rng(12)
+    x, quads = grid(count, 1, 0.1)
+    first = np.concatenate([[0], np.cumsum(3 * rng.integers(1, 4, count))])
+    owner = np.repeat(np.arange(count), np.diff(first))
+    gradient = np.array([gradients_at(x[quads[e]], rng.uniform(-0.9, 0.9, 2)) for e in owner])
+    moduli = LAME * rng.uniform(1, 2, count), SHEAR * rng.uniform(1, 2, count)
+    cut = fragment_elements(quads, first, gradient, rng.uniform(0.1, 0.3, len(owner)), *moduli, RHO)
+    u = 0.1 * rng.uniform(-1, 1, x.shape)
+    u[:, 0] += 1.2 * x[:, 0] * (x[:, 0] > 0.5 * count)
+    return cut, owner, u
+
+
+def test_cut_elements_agree_with_the_numpy_twin():
+    cut, owner, u = random_cut_elements()
+    assert len(cut.weight) > 2 * 128
+    f = np.eye(2) + np.einsum("pia,pib->pab", u[cut.nodes[owner]], cut.gradient)
+    energy, piola, tau, log_b = strain_energy(f, cut.lame[owner], cut.shear[owner])
+    expected, force = np.zeros_like(u), np.zeros_like(u)
+    corner = np.einsum("p,pab,pib->pia", cut.weight, piola, cut.gradient)
+    np.subtract.at(expected, cut.nodes[owner], corner)
+    smallest = add_cut_forces(cut, u, force)
+    j = np.linalg.det(f)
+    assert smallest == pytest.approx(j.min(), rel=1e-13)
+    scale = np.abs(corner).max()  # of what the nodes sum up
+    assert np.abs(force - expected).max() < 1e-13 * scale
+    assert cut_energy(cut, u) == pytest.approx(cut.weight @ energy, rel=1e-13)
+    stress, strain, ratio = cut_stress(cut, u)
+    sigma = (tau / j[:, None, None])[:, [0, 1, 0], [0, 1, 1]]
+    assert np.abs(stress[:, [0, 1, 3]] - sigma).max() < 1e-13 * np.abs(sigma).max()
+    assert np.abs(strain - 0.5 * log_b[:, [0, 1, 0], [0, 1, 1]]).max() < 1e-13
+    np.testing.assert_allclose(ratio, j, rtol=1e-13)
+
+
+def test_energies_of_uncut_elements_agree_with_the_numpy_twin():
+    x, quads = grid(40, 3, 0.2)
+    rng = np.random.default_rng(1)
+    e = one_point_elements(quads, x[quads], LAME, SHEAR * rng.uniform(1, 2, len(quads)), RHO)
+    u = 0.15 * rng.uniform(-1, 1, x.shape)
+    f = np.eye(2) + np.einsum("mia,mib->mab", u[e.nodes], e.gradient)
+    internal, hourglass = element_energies(e, u)
+    assert internal == pytest.approx(e.volume @ strain_energy(f, e.lame, e.shear)[0], rel=1e-13)
+    mode = np.einsum("mi,mia->ma", e.gamma, u[e.nodes])
+    assert hourglass == pytest.approx(0.5 * e.hourglass @ np.sum(mode**2, axis=1), rel=1e-13)
+
+
 def directional(energy, u, direction, step):
     """Fourth-order central difference of an energy."""
     value = [energy(u + k * step * direction) for k in (-2, -1, 1, 2)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from phantomnode.geometry.bilinear import gradients, to_local
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import initial_state
 from phantomnode.solver.leapfrog import advance
@@ -81,6 +82,94 @@ def stacked(penalty, seed, overlap=1e-6):
     return model_of(x, elements, cut, contact)
 
 
+def random_cut(seed):
+    """Two rows of cells pressed together: sizes, shapes, slanted cuts, penalty, friction, hourglass at random."""
+    rng = np.random.default_rng(seed)
+    n, h, overlap = int(rng.integers(2, 6)), 0.2, 1e-6
+    aspect = rng.uniform(0.5, 2.0)
+    x1, q1 = grid(n, 2, h=h)
+    x2, q2 = grid(n, 1, low=(rng.uniform(0.0, 0.5) * h, 2 * h - overlap), h=h)
+    x1[:, 1] = 2 * h + aspect * (x1[:, 1] - 2 * h)
+    x2[n + 1 :] += 0.2 * h * rng.uniform(-1, 1, (n + 1, 2))
+    x, q2 = np.vstack([x1, x2]), q2 + len(x1)
+    elements = one_point_elements(q1, x[q1], LAME, SHEAR, RHO, kappa=rng.uniform(0.0, 0.2))
+    points, weights, first = [], [], [0]
+    for corner in x[q2]:
+        low, high = rng.uniform(-0.98, 0.95, 2)
+        if rng.random() < 0.3:  # a corner is left, on the left or on the right of the lower edge
+            part = (
+                [[(-1, -1), (1, -1), (-1, high)]] if rng.random() < 0.5 else [[(-1, -1), (1, -1), (1, high)]]
+            )
+        else:
+            part = [[(-1, -1), (1, -1), (1, high)], [(-1, -1), (1, high), (-1, low)]]
+        physical = [shape_of(np.array(t, dtype=float)) @ corner for t in part]
+        for triangle in physical:
+            a, b = triangle[1] - triangle[0], triangle[2] - triangle[0]
+            at = RULE @ triangle
+            points.append(
+                gradients(np.repeat(corner[None], 3, 0), to_local(np.repeat(corner[None], 3, 0), at))
+            )
+            weights += [(a[0] * b[1] - a[1] * b[0]) / 6.0] * 3
+        first.append(len(weights))
+    cut = fragment_elements(q2, np.array(first), np.vstack(points), np.array(weights), LAME, SHEAR, RHO)
+    penalty, top = 10.0 ** rng.uniform(9, 14), q1[-n:]
+    contact = Contact(
+        np.repeat(q2, 2, axis=0), np.tile(np.column_stack([1 - GAUSS, GAUSS, 0 * GAUSS, 0 * GAUSS]), (n, 1)),
+        np.full(2 * n, h / 2), np.array([0, 2 * n]), top[::-1].copy(), np.tile(np.eye(4)[2], (n, 1)),
+        np.tile(np.eye(4)[3], (n, 1)), np.arange(n) - 1, np.append(np.arange(1, n), -1), np.array([0, n]),
+        np.array([penalty]), np.array([h]), np.zeros(2 * n), friction=np.array([rng.choice([0.0, 0.3, 1.5])]),
+        tangential_penalty=np.array([penalty * rng.choice([0.3, 1.0, 3.0])]),
+    )  # fmt: skip
+    return model_of(x, elements, cut, contact)
+
+
+def shape_of(local):
+    """Bilinear functions at (k, 2) local points, once more."""
+    return 0.25 * np.prod(1.0 + LOCAL[None] * local[:, None], axis=2)
+
+
+def assembled_stiffness(model):
+    """By central differences of the forces at rest, with every slave point over the master closed and stuck."""
+    search = prepare_search(model.contact)
+    state = initial_state(model, np.zeros_like(model.x), search)
+    assert np.count_nonzero(state.gap > 0.0) >= 2 * len(model.contact.master_nodes) - 2
+    keep = [field.copy() for field in (state.anchor, state.anchor_at)]
+    step, columns = 1e-8, []
+    for k in range(model.x.size):
+        side = []
+        for sign in (1.0, -1.0):
+            state.anchor[:], state.anchor_at[:] = keep
+            state.u[:] = 0.0
+            state.u.flat[k] = sign * step
+            advance(model, state, search, 0.0, np.zeros((0, 0)))
+            side.append(state.force.ravel().copy())
+        columns.append((side[1] - side[0]) / (2 * step))
+    return np.column_stack(columns)
+
+
+def power_iteration(matrix, rounds=4000):
+    """The largest eigenvalue of a symmetric matrix of positive ones."""
+    vector = np.random.default_rng(0).normal(size=len(matrix))
+    for _ in range(rounds):
+        vector = matrix @ vector
+        vector /= np.linalg.norm(vector)
+    return vector @ matrix @ vector
+
+
+def test_estimate_is_safe_and_within_two_for_200_random_cuts():
+    ratios = []
+    for seed in range(200):
+        model = random_cut(seed)
+        scale = 1.0 / np.sqrt(np.repeat(model.mass, 2))
+        matrix = scale[:, None] * assembled_stiffness(model) * scale
+        assert np.abs(matrix - matrix.T).max() < 1e-6 * np.abs(matrix).max()  # differences: about 1e-7
+        largest = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[-1]
+        if seed < 5:  # the two ways agree; the eigenvalues can be close to each other, so some digits only
+            assert power_iteration(matrix) == pytest.approx(largest, rel=1e-3)
+        ratios.append(2.0 / np.sqrt(largest) / stable_step(model, safety=1.0).dt)
+    assert min(ratios) > 1.0 - 1e-6 and max(ratios) < 2.0
+
+
 def true_limit(model):
     """2/omega of the assembled model, linearised by differences of the forces."""
     search = prepare_search(model.contact)
@@ -150,6 +239,23 @@ def test_bound_is_safe_and_within_a_factor_of_two(penalty, seed):
     model = stacked(penalty, seed)
     ratio = true_limit(model) / stable_step(model, safety=1.0).dt
     assert 1.0 - 1e-6 < ratio < 2.0  # the stiffness is a difference quotient, good to about 1e-7
+
+
+def test_a_coarse_slave_on_a_fine_master_counts_with_its_whole_points():
+    """One point of a long slave segment presses on a short master side: its weight counts, not that side's length."""
+    x1, q1 = grid(8, 1, h=0.05)
+    x2, q2 = grid(1, 1, low=(0.0, 0.05 - 1e-6), h=0.4)
+    x, q2 = np.vstack([x1, x2]), q2 + len(x1)
+    quads = np.vstack([q1, q2])
+    contact = Contact(
+        np.repeat(q2, 2, axis=0), np.column_stack([1 - GAUSS, GAUSS, 0 * GAUSS, 0 * GAUSS]),
+        np.full(2, 0.2), np.array([0, 2]), q1[::-1].copy(), np.tile(np.eye(4)[2], (8, 1)),
+        np.tile(np.eye(4)[3], (8, 1)), np.arange(8) - 1, np.append(np.arange(1, 8), -1), np.array([0, 8]),
+        np.array([1e13]), np.array([0.05]), np.zeros(2),
+    )  # fmt: skip
+    model = model_of(x, one_point_elements(quads, x[quads], LAME, SHEAR, RHO), no_cut(), contact)
+    ratio = true_limit(model) / stable_step(model, safety=1.0).dt
+    assert 1.0 - 1e-6 < ratio < 2.0
 
 
 def test_a_model_without_elements_is_refused():
