@@ -32,9 +32,9 @@ OVERLAP = 1e-6
 AUTO_PENALTY = 5.0
 """The automatic penalty in E/h: 1 to 10 is the range where it is stiff and the pressure still smooth."""
 
-OWN_CELLS = 4.0
-"""In self contact a point does not see its own curve within so many cells on either side: the bends that a grid
-can follow take no less."""
+OWN_CELLS = 3.0
+"""In self contact a point does not see its own curve within so many cells on either side, and less of it up to
+twice as far: the bends that a grid can follow take no less."""
 
 THIN = 0.1
 """A reach below this part of a cell, because a wall is so thin, is worth a warning."""
@@ -170,8 +170,8 @@ def _tangential_penalty(case: Case, table: ContactTable, penalty: float) -> floa
 
 
 def _exclusion(body: CutBody, lengths: Floats) -> float:
-    """How far along its own curve a point sees nothing, m; at most a quarter of the shortest curve."""
-    return float(min(OWN_CELLS * body.grid.cell_size, 0.25 * lengths.min(initial=np.inf)))
+    """How far along its own curve a point sees nothing, m; at most an eighth of the shortest curve."""
+    return float(min(OWN_CELLS * body.grid.cell_size, 0.125 * lengths.min(initial=np.inf)))
 
 
 def reported_pairs(case: Case, cut: dict[str, CutBody], passes: list[ContactPass]) -> tuple[Pair, ...]:

@@ -109,6 +109,52 @@ def depth_at(
 
 
 @njit(cache=True, error_model="numpy")
+def recess(contact: Contact, k: int, g: int, s: int, t: float) -> tuple[float, float]:
+    """How far a point's own curve recedes before it, m, at the place t of segment s, and its slope there, m.
+
+    In self contact the neighbourhood of a point is cut out of what it sees. Where that ends, a point could pass
+    the end at some depth, which is the gradient of no energy. The surface therefore stands back by the reach at
+    the distance D along the curve (nothing is deeper than the reach) and less and less so up to 2 D. The slope is
+    by t.
+    """
+    if len(contact.exclusion) == 0 or not contact.exclusion[k] > 0.0:
+        return 0.0, 0.0
+    curve, middle, half, length = contact.master_place[s]
+    if contact.slave_place[g, 0] != curve:
+        return 0.0, 0.0
+    forth = middle + (2.0 * t - 1.0) * half - contact.slave_place[g, 1]
+    apart, sign = abs(forth), 1.0 if forth > 0.0 else -1.0
+    if length - apart < apart:
+        apart, sign = length - apart, -sign
+    steep = contact.reach[k] / contact.exclusion[k]
+    back = 2.0 * contact.reach[k] - steep * apart
+    return (back, -steep * sign * 2.0 * half) if back > 0.0 else (0.0, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def add_recess_forces(
+    contact: Contact, g: int, s: int, pull: float, px: float, py: float, x: Floats, u: Floats, force: Floats
+) -> tuple[float, float]:
+    """Add pull grad t, N/m, for the place t = (p - a).d/d.d on segment s with d = b - a; the part on the point."""
+    ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
+    bx, by = position(contact.master_nodes[s], contact.end_shape[s], x, u)
+    dx, dy, rx, ry = bx - ax, by - ay, px - ax, py - ay
+    square = dx * dx + dy * dy
+    twice = 2.0 * (rx * dx + ry * dy) / square
+    pull /= square
+    fx, fy = pull * dx, pull * dy
+    qx, qy = pull * (rx - twice * dx), pull * (ry - twice * dy)  # on b; a takes what is left
+    for c in range(4):
+        n, share = contact.slave_nodes[g, c], contact.slave_shape[g, c]
+        force[n, 0] += share * fx
+        force[n, 1] += share * fy
+        n, start, end = contact.master_nodes[s, c], contact.start_shape[s, c], contact.end_shape[s, c]
+        force[n, 0] += end * qx - start * (fx + qx)
+        force[n, 1] += end * qy - start * (fy + qy)
+    return fx, fy
+
+
+@njit(cache=True, error_model="numpy")
 def add_contact_forces(
     contact: Contact,
     candidates: Candidates,
@@ -150,7 +196,8 @@ def add_contact_forces(
             if d2 > reach2:
                 continue
             depth, nx, ny, t = depth_at(contact, s, t, px, py, x, u)
-            depth -= contact.offset[g]
+            back, slope = recess(contact, k, g, s, t)
+            depth -= contact.offset[g] + back
             if depth <= 0.0:
                 continue
             pressure = contact.penalty[k] * contact.slave_weight[g] * depth
@@ -163,6 +210,9 @@ def add_contact_forces(
                 n = contact.master_nodes[s, c]
                 force[n, 0] -= share * fx
                 force[n, 1] -= share * fy
+            if slope != 0.0 and t != 0.0 and t != 1.0:
+                ex, ey = add_recess_forces(contact, g, s, pressure * slope, px, py, x, u, force)
+                fx, fy = fx + ex, fy + ey
             total_x += fx
             total_y += fy
             gap[g], normal[g, 0], normal[g, 1] = depth, nx, ny

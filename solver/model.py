@@ -112,10 +112,10 @@ class Contact(NamedTuple):
     What follows is empty where no pair makes use of it. friction (k,) Coulomb's coefficient, and
     tangential_penalty (k,), Pa/m, of the stick; pair (k,): where a pair is tested in two passes, each of them is
     a pair k here, one behind the other, and pair[k] is the number under which both are reported; exclusion (k,),
-    m: in self contact a point does not see the segments within this distance from it along its own curve (0
-    elsewhere), with slave_place (g, 2) number of the curve (-1: none) and distance along it, m, and master_place
-    (s, 4) number of the curve, distance along it at the middle of the segment, half the segment's length, and
-    length of the curve, m (infinite where it is open), all in the reference configuration.
+    m: in self contact a point does not see the segments within this distance from it along its own curve, and
+    less of them up to twice as far (0 elsewhere), with slave_place (g, 2) number of the curve and distance along
+    it, m, and master_place (s, 4) number of the curve, distance along it at the middle of the segment, half the
+    segment's length, and length of the curve, m (infinite where it is open), all in the reference configuration.
     """
 
     slave_nodes: Ints

@@ -211,14 +211,14 @@ def rows_of(values: Floats, rows: Ints) -> Floats:
 
 @njit(cache=True, error_model="numpy")
 def own_neighbourhood(contact: Contact, k: int, g: int, s: int) -> bool:
-    """Whether segment s lies so near to slave point g along their own curve that they do not see each other."""
+    """Whether all of segment s is so near to slave point g along their own curve that they see nothing of it."""
     if len(contact.exclusion) == 0 or not contact.exclusion[k] > 0.0:
         return False
     curve, middle, half, length = contact.master_place[s]
     if contact.slave_place[g, 0] != curve:
         return False
     apart = abs(contact.slave_place[g, 1] - middle)
-    return min(apart, length - apart) - half < contact.exclusion[k]
+    return min(apart, length - apart) + half < contact.exclusion[k]
 
 
 @njit(cache=True, error_model="numpy")

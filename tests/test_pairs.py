@@ -304,6 +304,38 @@ def test_self_contact_stops_the_jaws():
     assert min(opening(f) for f in free) < -0.05
 
 
+def test_a_squeezed_ring_touches_itself():
+    """A ring crushed between a rigid floor and a rigid stamp until its hole is shut along most of its length.
+
+    The hole closes like a zip up to the creases at its ends, where the neighbourhood of points begins to be seen.
+    """
+    prepared = prepared_of(
+        end=0.012,
+        body={"ring": body({"ring": {"centre": [0.0, 0.0505], "outer": 0.05, "inner": 0.036}}, 0.005)},
+        contact={
+            "floor": {"slave": "ring.outer", "master": "floor"},
+            "stamp": {"slave": "ring.outer", "master": "stamp"},
+            "own": {"slave": "ring.inner", "master": "ring.inner"},
+        },
+        rigid={
+            "floor": {"geometry": {"polyline": {"points": [[0.3, 0.0], [-0.3, 0.0]]}}},
+            "stamp": {
+                "geometry": {"polyline": {"points": [[-0.3, 0.101], [0.3, 0.101]]}},
+                "velocity": {"y": -6.4},
+            },
+        },
+    )
+    seen = run(prepared, 60)
+    own = prepared.pairs[2].points
+    closed = [int((f.gap[own] > 0.0).sum()) for f in seen]
+    assert closed[0] == 0 and max(closed) > 10
+    assert max(f.gap[own].max() for f in seen) < 0.25 * 0.005
+    assert max(f.energy_error for f in seen if f.step > 64) < 2e-3
+    reactions = np.array([f.reaction[[1, 3]] for f in seen])
+    assert reactions[-1, 0] > 0.0 > reactions[-1, 1]
+    assert abs(seen[-1].pair_force[2]).max() < 0.05 * reactions[-1, 0]  # face on face: the sum over the curve
+
+
 def test_a_thin_wall_is_warned_of():
     thin = {"polygon": {"points": [[0, 0], [1, 0], [1, 0.012], [0.012, 0.012], [0.012, 0.5], [0, 0.5]]}}
     prepared = prepared_of(
