@@ -20,6 +20,10 @@ from phantomnode.solver.timestep import stable_step
 
 YOUNG = 1e7
 
+STEP = 5e-5
+"""Of the runs that are held to a balance, s, a quarter to a sixth of the stable one: a flat impact of five cells
+errs by 1e-2 of the energy at 2e-4 s, 6e-4 here, and falls with the square of the step."""
+
 
 def material(**given):
     return {"soft": {"E": YOUNG, "nu": 0.3, "rho": 1000.0} | given}
@@ -119,12 +123,12 @@ def test_two_passes_bear_what_one_does():
 
 def test_a_run_in_two_passes_keeps_momentum_and_energy():
     prepared = stacked(passes=2, friction=0.3)
-    prepared = replace(prepared, dt=prepared.dt / 4)  # the error of the balance falls with dt^2: 2e-2 at dt
+    prepared = replace(prepared, dt=STEP)
     seen = run(prepared)
     mass = prepared.model.mass[:, None]
     start, end = ((mass * f.v).sum(axis=0) for f in (seen[0], seen[-1]))
     assert np.abs(end - start).max() < 1e-12 * np.abs(start).max()
-    assert max(f.energy_error for f in seen) < 2e-3
+    assert max(f.energy_error for f in seen) < 1e-3
     upper = prepared.bodies[1].nodes
     gained = prepared.model.mass[upper] @ (seen[-1].v[upper] - seen[0].v[upper])
     np.testing.assert_allclose(seen[-1].pair_impulse[0], gained, atol=1e-10 * np.abs(gained).max())
@@ -147,7 +151,7 @@ def test_a_rigid_plane_throws_a_block_back():
     """A block and its mirror image meet at closing speed 2 v without a relative motion of the plane: contact
     ends after about twice the time of a wave through the block, and the impulse is that of the reaction."""
     prepared = falling(FLOOR)
-    prepared = replace(prepared, dt=prepared.dt / 4)  # a flat impact of five cells: 1e-2 of the energy at dt
+    prepared = replace(prepared, dt=STEP)
     seen = run(prepared, 200)
     mass = prepared.model.mass
     assert mass.sum() == pytest.approx(1000.0 * 0.25, rel=1e-12)
@@ -189,7 +193,7 @@ def test_a_moved_obstacle_does_work():
     """A rigid plane pushed up against a block at rest: external work is what the block gets."""
     motion = {"velocity": {"y": 1.0, "x": 0.5}}
     prepared = falling(FLOOR | motion, friction=0.2)
-    prepared = replace(prepared, dt=prepared.dt / 2)
+    prepared = replace(prepared, dt=STEP)
     prepared.velocity[:] = 0.0
     seen = run(prepared, 100)
     last = seen[-1].energies
