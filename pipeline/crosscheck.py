@@ -6,10 +6,11 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from phantomnode.pipeline.boundary_tables import BoxOn, TimeValue
 from phantomnode.pipeline.contact_tables import Contact
 from phantomnode.pipeline.expressions import ExpressionError, time_function
 from phantomnode.pipeline.messages import listed, shown, suggestion
-from phantomnode.pipeline.schema import Boundary, BoxOn, Case, Hourglass, Rigid
+from phantomnode.pipeline.schema import Case, Hourglass
 from phantomnode.pipeline.shapes import FileGrid, MappedGrid
 from phantomnode.pipeline.values import Table
 
@@ -165,25 +166,28 @@ def _grid_tables(key: str, grid: Table) -> Iterator[tuple[str, Table]]:
 def _motions(case: Case) -> Iterator[str]:
     """Functions of time: finite over the run, and a displacement starts from where the body is."""
     for name, boundary in case.boundary.items():
-        for kind in ("displacement", "velocity", "acceleration"):
+        for kind in ("displacement", "velocity", "acceleration", "traction"):
             for direction in ("x", "y"):
-                yield from _motion(case, boundary, f"boundary.{name}", kind, direction)
+                value = getattr(getattr(boundary, kind), direction, None)
+                yield from _motion(case, value, f"boundary.{name}.{kind}.{direction}", kind)
+        yield from _motion(case, boundary.pressure, f"boundary.{name}.pressure", "pressure")
+    for axis, value in enumerate(case.gravity):
+        yield from _motion(case, value, f"gravity.{axis}", "gravity")
     for name, rigid in case.rigid.items():
         for kind in ("displacement", "velocity"):
             for direction in ("x", "y"):
-                yield from _motion(case, rigid, f"rigid.{name}", kind, direction)
+                value = getattr(getattr(rigid, kind), direction, None)
+                yield from _motion(case, value, f"rigid.{name}.{kind}.{direction}", kind)
         if rigid.geometry.function is not None and rigid.geometry.x is None:
             yield f"rigid.{name}.geometry: a function needs its range here, x = [first, last] in m"
         if all(contact.master != name for contact in case.contact.values()):
             yield f"rigid.{name}: no contact has it as its master; add one, or leave the obstacle out"
 
 
-def _motion(case: Case, boundary: Boundary | Rigid, key: str, kind: str, direction: str) -> Iterator[str]:
+def _motion(case: Case, value: TimeValue | None, key: str, kind: str) -> Iterator[str]:
     """One function of time."""
-    value = getattr(getattr(boundary, kind), direction, None)
     if value is None:
         return
-    key = f"{key}.{kind}.{direction}"
     try:
         values = time_function(value)(np.linspace(0.0, case.time.end, PROBES))
     except ExpressionError as error:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from phantomnode.geometry.bilinear import gradients, local_gradients, shape, to_local
 from phantomnode.geometry.doubling import CutMesh
+from phantomnode.pipeline.boundaries import constant_gravity
 from phantomnode.pipeline.schema import Case, Hourglass, Material
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.damping import bulk_points, hourglass_viscosity
@@ -53,9 +54,12 @@ def hourglass_control(case: Case) -> tuple[float, float]:
 
 
 class ElementLists(NamedTuple):
-    """The elements of all bodies: x (n, 2), m; load (n, 2) by gravity, N/m; the lists of the model."""
+    """The elements of all bodies: x (n, 2), m; mass (n,) true lumped mass, kg/m; load (n, 2) by constant
+    gravity, N/m; the lists of the model.
+    """
 
     x: Floats
+    mass: Floats
     load: Floats
     elements: Elements
     cut_elements: CutElements
@@ -73,10 +77,11 @@ def element_lists(case: Case, bodies: Sequence[Body]) -> ElementLists:
     cut = joined_cut_elements([cut_elements(b.mesh, b.nodes.start, material[b.name], points) for b in bodies])
     meshes = [body.mesh for body in bodies]
     x = np.vstack([mesh.xy for mesh in meshes])
-    load = lumped_mass(len(x), elements, cut)[:, None] * np.array(case.gravity)
+    mass = lumped_mass(len(x), elements, cut)
     cut = stiffened(case, meshes, cut)
     full = full_elements(elements, x) if case.integration.uncut == "full" else NO_POINTS
-    return ElementLists(x, load, elements, cut, full, damping_of(case, meshes, elements, full, cut))
+    load = mass[:, None] * constant_gravity(case)
+    return ElementLists(x, mass, load, elements, cut, full, damping_of(case, meshes, elements, full, cut))
 
 
 def uncut_elements(mesh: CutMesh, first_node: int, material: Material, kappa: float) -> Elements:

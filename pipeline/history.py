@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from phantomnode.pipeline.boundaries import Boundary
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending, Sampled
@@ -24,9 +25,9 @@ class History(Sampled):
 
     Numbers are written with ``repr``: read back, they are the same float64 to the bit. SI units, forces and
     energies per metre of thickness. ``contact.NAME.fx`` is the force on the slave, ``reaction.NAME.fx`` the
-    force that a boundary exerts (0 in a direction that it leaves free), ``body.NAME.ux`` the displacement of
-    the centre of mass; then the impulses ``contact.NAME.ix`` since the start, the energies dissipated so far,
-    and of pairs with friction the part ``contact.NAME.tx`` of the force that is tangential.
+    force that a boundary exerts (0 in a direction that it leaves free; of a load its resultant), ``body.NAME.ux``
+    the displacement of the centre of mass; then the impulses ``contact.NAME.ix`` since the start, the energies
+    dissipated so far, and of pairs with friction the part ``contact.NAME.tx`` of the force that is tangential.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def row(prepared: Prepared, frame: Frame) -> list[float]:
     values = [frame.time, *(getattr(energies, name) for name in ENERGIES), frame.energy_error]
     values.extend(frame.pair_force.ravel())
     for boundary in prepared.boundaries:
-        values.extend(frame.reaction[channel] if channel >= 0 else 0.0 for channel in boundary.channels)
+        values.extend(boundary_force(boundary, frame))
     for body in prepared.bodies:
         mass = prepared.model.mass[body.nodes]
         values.extend(centre(mass, frame.u[body.nodes]))
@@ -98,6 +99,12 @@ def tangential_force(prepared: Prepared, pair: Pair, frame: Frame) -> Floats:
             for sign, k in zip(signs, pair.passes, strict=False)
         )
     )
+
+
+def boundary_force(boundary: Boundary, frame: Frame) -> Floats:
+    """(2,) Force that a boundary exerts on its body, N/m: reactions, springs or the resultant of its load."""
+    held = [frame.reaction[channel] if channel >= 0 else 0.0 for channel in boundary.channels]
+    return np.asarray(held + frame.applied[list(boundary.rows)].sum(axis=0))
 
 
 def centre(mass: Floats, nodal: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Prescribed motions: displacement increments, step by step, from functions of time."""
+"""Prescribed motions and loads, step by step, from functions of time."""
 
 from __future__ import annotations
 
@@ -60,14 +60,20 @@ class Channel:
 
 @dataclass(frozen=True)
 class PrescribedMotion:
-    """All channels of a case, in the order of their numbers."""
+    """All channels of a case and the functions of its load rows, each in the order of their numbers."""
 
     channels: tuple[Channel, ...]
+    loads: tuple[Callable[[Floats], Floats], ...] = ()
 
     def increments(self, first_step: int, steps: int, dt: float) -> Floats:
         """(steps, channels) Displacement increments, m."""
         columns = [channel.increments(first_step, steps, dt) for channel in self.channels]
         return np.column_stack(columns) if columns else np.zeros((steps, 0))
+
+    def values(self, first_step: int, steps: int, dt: float) -> Floats:
+        """(steps, rows) Values of the loads at the times of the steps first_step, first_step + 1, ..."""
+        times = _times(first_step, first_step + steps, dt)
+        return np.column_stack([load(times) for load in self.loads]) if self.loads else np.zeros((steps, 0))
 
 
 def _times(first: float, last: float, dt: float) -> Floats:

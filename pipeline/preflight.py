@@ -107,8 +107,15 @@ def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     for boundary in prepared.boundaries:
-        held = [axis for axis, channel in zip("xy", boundary.channels, strict=True) if channel >= 0]
-        yield boundary.name, str(len(boundary.nodes)), " and ".join(held)
+        held = " and ".join(
+            axis for axis, channel in zip("xy", boundary.channels, strict=True) if channel >= 0
+        )
+        what = {
+            "held": held,
+            "weak": f"{held}, by springs of {boundary.penalty:.4g} Pa/m",
+            "load": "nothing: a load",
+        }
+        yield boundary.name, str(len(boundary.nodes)), what[boundary.kind]
 
 
 def _run_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:

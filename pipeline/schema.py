@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 
+from phantomnode.pipeline.boundary_tables import Boundary, Directions, TimeValue
 from phantomnode.pipeline.contact_tables import Contact
 from phantomnode.pipeline.shapes import (
     BodyGeometry,
@@ -25,12 +26,10 @@ from phantomnode.pipeline.values import (
     Count,
     Name,
     Number,
-    Place,
     Positive,
     Switch,
     Table,
     Vector,
-    expression_of,
     kind_of_value,
 )
 
@@ -81,79 +80,6 @@ class Interface(Table):
 
     body: Name = Field(description="name of the body it splits")
     geometry: CurveGeometry = Field(description="a file, one shape or a function, and where it goes")
-
-
-class PointTable(Table):
-    """A function of time that is linear between points and constant outside them."""
-
-    t: tuple[Number, ...] = Field(min_length=1, description="times, s, increasing")
-    value: tuple[Number, ...] = Field(min_length=1, description="values at these times")
-
-    @model_validator(mode="after")
-    def _pairs(self) -> PointTable:
-        if len(self.t) != len(self.value):
-            raise ValueError(
-                f"{len(self.t)} times t but {len(self.value)} values; give one value for each time"
-            )
-        if any(later <= earlier for earlier, later in zip(self.t, self.t[1:], strict=False)):
-            raise ValueError(f"t = {list(self.t)} must increase")
-        return self
-
-
-TimeValue = Annotated[
-    Annotated[Number, Tag("=number")]
-    | Annotated[Annotated[str, expression_of("t")], Tag("=text")]
-    | Annotated[PointTable, Tag("=table")],
-    Discriminator(kind_of_value),
-]
-
-
-class Directions(Table):
-    """A prescribed motion by direction; a direction that is left out is free."""
-
-    x: TimeValue | None = Field(
-        default=None, description="a number, an expression of t, or { t = [...], value = [...] }"
-    )
-    y: TimeValue | None = Field(
-        default=None, description="a number, an expression of t, or { t = [...], value = [...] }"
-    )
-
-    @model_validator(mode="after")
-    def _some(self) -> Directions:
-        if self.x is None and self.y is None:
-            raise ValueError("x or y or both must be given")
-        return self
-
-
-class BoxOn(Table):
-    """The nodes of a body inside a box."""
-
-    body: Name = Field(description="name of the body")
-    box: tuple[Vector, Vector] = Field(description="[[x0, y0], [x1, y1]], m")
-
-    @model_validator(mode="after")
-    def _ordered(self) -> BoxOn:
-        if not all(low <= high for low, high in zip(*self.box, strict=True)):
-            raise ValueError("box must be [[left, bottom], [right, top]]")
-        return self
-
-
-class Boundary(Table):
-    """A prescribed motion of a part of a body."""
-
-    on: Annotated[
-        Annotated[Place, Tag("=text")] | Annotated[BoxOn, Tag("=table")], Discriminator(kind_of_value)
-    ] = Field(
-        description='"BODY.PART", as "obstacle.bottom", or { body = "obstacle", box = [[x0, y0], [x1, y1]] }'
-    )
-    displacement: Directions | None = Field(default=None, description="m")
-    velocity: Directions | None = Field(default=None, description="m/s")
-    acceleration: Directions | None = Field(default=None, description="m/s^2")
-
-    @model_validator(mode="after")
-    def _one(self) -> Boundary:
-        self.exactly_one("displacement", "velocity", "acceleration")
-        return self
 
 
 class Xfem(Table):
@@ -315,7 +241,9 @@ class Case(Table):
         default=Path("."), description="where files are taken from; the case file's folder unless given"
     )
     time: Time = Field(description="{ end = seconds }")
-    gravity: Vector = Field(default=(0.0, 0.0), description="[gx, gy], m/s^2")
+    gravity: tuple[TimeValue, TimeValue] = Field(
+        default=(0.0, 0.0), description="[gx, gy], m/s^2, numbers or functions of time"
+    )
     hourglass: Annotated[
         Annotated[Fraction, Tag("=number")] | Annotated[Hourglass, Tag("=table")],
         Discriminator(kind_of_value),
@@ -332,7 +260,7 @@ class Case(Table):
     interface: dict[Name, Interface] = Field(default={}, description="curves that split bodies")
     contact: dict[Name, Contact] = Field(default={}, description="contact pairs")
     rigid: dict[Name, Rigid] = Field(default={}, description="rigid obstacles given by curves")
-    boundary: dict[Name, Boundary] = Field(default={}, description="prescribed motions")
+    boundary: dict[Name, Boundary] = Field(default={}, description="prescribed motions and loads")
     method: Literal["phantom", "xfem"] = Field(
         default="phantom", description="phantom nodes, or classic X-FEM for comparison (without contact)"
     )

@@ -221,8 +221,9 @@ def step_set_by(prepared: Prepared) -> str:
     ]
     owner = next(name for name, part in slices if part.start <= number < part.stop)
     share = contact**2 / (element**2 + contact**2)
+    springs = "contact and supports" if len(prepared.model.supports.stiffness) else "contact"
     limit = f"{kind} element of body {owner}" + (
-        f", contact {share:.0%} of the frequency^2" if contact else ""
+        f", {springs} {share:.0%} of the frequency^2" if contact else ""
     )
     if prepared.case.time.step != "auto":
         return f"the case (stable: {estimate.dt:.3g} s by {limit})"

@@ -16,6 +16,7 @@ from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.errors import CaseError
 
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
 SIDES_OF_INTERFACE: tuple[str, ...] = ("plus", "minus")
 
@@ -113,6 +114,24 @@ def closed_surface(segments: BoundarySegments, chosen: Ints, without: Ints) -> I
     return np.flatnonzero(np.isin(loop, loop[chosen]))
 
 
+CORNERS_ON_EDGE = {(0, -1.0): (3, 0), (0, 1.0): (1, 2), (1, -1.0): (0, 1), (1, 1.0): (2, 3)}
+"""Corners at the ends of the edge on which a local coordinate (0 xi, 1 eta) has the value -1 or 1."""
+
+
+def _on_edges(body: CutBody, chosen: Ints) -> dict[tuple[int, float], Bools]:
+    """Which of the chosen segments run along each of the four edges of their cells."""
+    local = body.mesh.segments.local[chosen]
+    return {
+        (axis, value): np.all(np.abs(local[:, :, axis] - value) < ON_EDGE, axis=1)
+        for axis, value in CORNERS_ON_EDGE
+    }
+
+
+def inside_cells(body: CutBody, chosen: Ints) -> Bools:
+    """(k,) Which of the chosen segments run through the inside of a cell."""
+    return np.asarray(~np.any(list(_on_edges(body, chosen).values()), axis=0))
+
+
 def nodes_on_edges(body: CutBody, chosen: Ints, key: str, place: str) -> Ints:
     """Nodes, real and phantom, of the cell edges along which the chosen segments run.
 
@@ -122,19 +141,16 @@ def nodes_on_edges(body: CutBody, chosen: Ints, key: str, place: str) -> Ints:
         Where a segment runs through the inside of a cell: no node stands there to be held.
     """
     mesh = body.mesh
-    local = mesh.segments.local[chosen]
-    found = []
-    for axis in (0, 1):
-        for value in (-1.0, 1.0):
-            on = np.all(np.abs(local[:, :, axis] - value) < ON_EDGE, axis=1)
-            corners = {(0, -1.0): (3, 0), (0, 1.0): (1, 2), (1, -1.0): (0, 1), (1, 1.0): (2, 3)}[axis, value]
-            found.append((on, mesh.elements[mesh.segments.element[chosen[on]]][:, corners]))
-    inside = ~np.any([on for on, _ in found], axis=0)
+    inside = inside_cells(body, chosen)
     if inside.any():
         x, y = mesh.segments.ends[chosen[inside][0]].mean(axis=0)
         raise CaseError(
             f'{key}: "{place}" runs through the inside of cells, as at ({x:.6g}, {y:.6g}) m, where no node '
-            "stands to be held: let the grid follow it (aligned = true, or a polar or mapped grid), or hold the "
-            "nodes in a box: on = { body = ..., box = [[x0, y0], [x1, y1]] }"
+            "stands to be held: leave out weak = false, so that springs hold it, or let the grid follow it "
+            "(aligned = true, or a polar or mapped grid)"
         )
-    return np.unique(np.concatenate([nodes.reshape(-1) for _, nodes in found]))
+    found = [
+        mesh.elements[mesh.segments.element[chosen[on]]][:, CORNERS_ON_EDGE[edge]]
+        for edge, on in _on_edges(body, chosen).items()
+    ]
+    return np.unique(np.concatenate([nodes.reshape(-1) for nodes in found]))

@@ -32,8 +32,9 @@ class Phase(NamedTuple):
 class Momentum(NamedTuple):
     """Linear momentum of a body, kg m/s per metre: (2,) each.
 
-    impulse: of its contact pairs, of gravity and of mass damping, over the run; error: |change - impulse| over
-    the larger of the two, in the directions without a prescribed motion; None where both directions have one.
+    impulse: of its contact pairs, loads, weak supports, gravity and mass damping, over the run; error: |change -
+    impulse| over the larger of the two, in the directions without a prescribed motion; None where both directions
+    have one.
     """
 
     start: Floats
@@ -133,14 +134,33 @@ class Tally:
         if model.damping.mass > 0.0:
             moved = mass @ (self.last.u[body.nodes] - self.first.u[body.nodes])
             impulse = impulse - model.damping.mass * moved
+        applied, largest = self._applied_impulse(body)
+        impulse = impulse + applied
         free = np.all(model.channel[body.nodes] < 0, axis=0)
         error = None
         if np.any(free):
             change, given = (end - start)[free], impulse[free]
             size = max(float(np.hypot.reduce(change)), float(np.hypot.reduce(given)))
-            rest = REST * float(mass.sum()) * self.speed_max
+            rest = REST * (float(mass.sum()) * self.speed_max + largest)
             error = float(np.hypot.reduce(change - given)) / size if size > rest else 0.0
         return Momentum(start, end, impulse, error)
+
+    def _applied_impulse(self, body: Body) -> tuple[Floats, float]:
+        """Impulse of the loads and weak supports of a body over the run, (2,), and the largest single one."""
+        assert self.first is not None and self.last is not None
+        loads, supports = self._prepared.model.loads, self._prepared.model.supports
+        here = (body.nodes.start, body.nodes.stop - 1)
+        impulses = [np.zeros(2)]
+        for node, row in ((loads.node, loads.row), (loads.point_nodes[:, 0], loads.point_row)):
+            for r in np.unique(row[(node >= here[0]) & (node <= here[1])]):
+                impulses.append(self.last.load_impulse[r] - self.first.load_impulse[r])
+        held = (supports.nodes[:, 0] >= here[0]) & (supports.nodes[:, 0] <= here[1])
+        for axis in range(2):
+            channels = np.unique(supports.channel[held, axis])
+            for c in channels[channels >= 0]:
+                during = self.last.support_impulse[c] - self.first.support_impulse[c]
+                impulses.append(during * np.eye(2)[axis])
+        return np.sum(impulses, axis=0), float(np.max(np.hypot(*np.array(impulses).T)))
 
     def velocity(self, body: Body) -> tuple[Floats, Floats]:
         """Velocity of the centre of mass at the start and at the end, m/s, (2,) each."""

@@ -12,6 +12,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from phantomnode.geometry.bilinear import local_gradients, shape, to_local
 from phantomnode.geometry.doubling import CutMesh
+from phantomnode.pipeline.boundaries import constant_gravity
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.solver.cut_elements import add_cut_forces
 from phantomnode.solver.model import Model
@@ -84,9 +85,15 @@ def classic_xfem(
     The nodal masses of the model become those that tell linear momentum: sum m_k v_k is what a translation
     tests, so that the centre of mass and gravity are those of the X-FEM system.
     """
+    if model.loads.rows or len(model.supports.stiffness):
+        raise CaseError(
+            f'{case.name}: method = "xfem": classic X-FEM runs without tractions, pressures, gravity that changes '
+            "with time and surfaces held by springs (a boundary through the inside of cells); take method = "
+            '"phantom", or leave them out'
+        )
     mass = xfem_mass(case.xfem, bodies, model)
     nodal = mass.momentum(np.ones((len(model.x), 2)))[:, 0]
-    gravity = (nodal - model.mass)[:, None] * np.array(case.gravity)
+    gravity = (nodal - model.mass)[:, None] * constant_gravity(case)
     model = model._replace(mass=nodal, load=model.load + gravity)
     return model, stable_xfem_step(model, mass, case.time.safety), mass
 

@@ -16,10 +16,11 @@ from phantomnode.solver.contact import contact_energy
 from phantomnode.solver.cut_elements import cut_energy
 from phantomnode.solver.damping import damping_force, dissipated, velocity
 from phantomnode.solver.leapfrog import DONE, advance, initial_state
-from phantomnode.solver.model import NOWHERE, Energies, Model, State
+from phantomnode.solver.model import NONE, NOWHERE, Energies, Model, State
 from phantomnode.solver.q4 import element_energies
 from phantomnode.solver.search import prepare_search
 from phantomnode.solver.stress import cut_stress, element_stress
+from phantomnode.solver.surface_loads import load_power, support_energy
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,10 +34,13 @@ CHUNK = 4096
 
 
 class Motion(Protocol):
-    """The prescribed motions."""
+    """The prescribed motions and loads; a model without load rows never asks for values."""
 
     def increments(self, first_step: int, steps: int, dt: float) -> Floats:
         """(steps, channels) Displacement increments, m, over the steps that begin at first_step*dt, ..."""
+
+    def values(self, first_step: int, steps: int, dt: float) -> Floats:
+        """(steps, rows) Values of the load rows, Pa or m/s^2, at first_step*dt, (first_step + 1)*dt, ..."""
 
 
 class Frame(NamedTuple):
@@ -49,7 +53,8 @@ class Frame(NamedTuple):
     far, N/m; gap (g,) penetration or -1e300 where open, m; normal (g, 2) direction of the force on the slave;
     tangential (g, 2) friction force on each slave point, N/m, empty without friction;
     smallest_j: smallest J = det F; state, initial_energy and largest_energy: what a run needs to be resumed
-    from here.
+    from here; applied (rows, 2) resultant of each load row, N/m; load_impulse (rows, 2) and support_impulse
+    (channels,): time integrals of the loads and of the springs of weak supports, N s/m.
     """
 
     time: float
@@ -69,6 +74,9 @@ class Frame(NamedTuple):
     initial_energy: float
     largest_energy: float
     tangential: Floats = NOWHERE
+    applied: Floats = NOWHERE
+    load_impulse: Floats = NOWHERE
+    support_impulse: Floats = NONE
 
 
 class RunStopped(RuntimeError):
@@ -92,18 +100,23 @@ class RunStopped(RuntimeError):
 def energies(model: Model, state: State, dt: float) -> Energies:
     """Energies at the time of the displacement, J/m; exact stored-energy functions.
 
-    The kinetic energy is that of the velocity there; the work done so far is that of reactions and loads.
+    The kinetic energy is that of the velocity there; the work done so far is that of reactions and loads, and
+    of the prescribed ends of weak supports.
     """
     v = velocity(model, state, dt)
     reaction = _nodal_reaction(model, state, v)
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     last_half_step = half * 0.5 * float(np.sum(reaction * (state.v + v)))
+    last_half_step += half * load_power(model.loads, state.value, state.point_force, 0.5 * (state.v + v))
+    last_half_step += half * float(state.support @ state.rate)
     internal, hourglass = _uncut_energies(model, state.u)
     return Energies(
         kinetic=0.5 * float(np.sum(model.mass[:, None] * v**2)),
         internal=internal + cut_energy(model.cut_elements, state.u),
         hourglass=hourglass,
-        contact=contact_energy(model.contact, state.gap) + float(state.stick[0]),
+        contact=contact_energy(model.contact, state.gap)
+        + float(state.stick[0])
+        + support_energy(model.supports, state.held, state.u),
         external_work=float(state.external[0]) + last_half_step + float(np.sum(model.load * state.u)),
         friction=_rubbed(state, v, half),
         damping=dissipated(model, state, v, half),
@@ -140,7 +153,7 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
     initial = before.initial_energy if before else total
     largest = max(now.kinetic, stored, abs(now.external_work), before.largest_energy if before else 0.0)
     held, v = model.channel >= 0, velocity(model, state, dt)
-    reaction = np.zeros(model.channels)
+    reaction = state.support.copy()
     np.add.at(reaction, model.channel[held], _nodal_reaction(model, state, v)[held])
     copy = State._make(field.copy() for field in state)
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
@@ -162,6 +175,9 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
         initial_energy=initial,
         largest_energy=largest,
         tangential=copy.tangential,
+        applied=copy.applied,
+        load_impulse=copy.load_impulse + half * copy.applied,
+        support_impulse=copy.support_impulse + half * copy.support,
     )
 
 
@@ -204,7 +220,7 @@ def frames(
         start = np.array(velocity, dtype=np.float64)
         held = model.channel >= 0
         start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
-        state = initial_state(model, start, search)
+        state = initial_state(model, start, search, motion.values(0, 1, dt)[0] if model.loads.rows else None)
         last = _frame(model, state, dt, None)
         if 0 in due:
             yield last
@@ -214,8 +230,7 @@ def frames(
         done = last.step
         while done < target:
             steps = min(CHUNK, int(target) - done)
-            increments = np.ascontiguousarray(motion.increments(done, steps, dt), dtype=np.float64)
-            if advance(model, state, search, dt, increments) != DONE:
+            if advance(model, state, search, dt, _table(model, motion, done, steps, dt)) != DONE:
                 raise broken(model, state, last)
             done += steps
             frame = _frame(model, state, dt, last)
@@ -223,6 +238,14 @@ def frames(
                 raise unbalanced(frame, guard, last)
             last = frame
         yield last
+
+
+def _table(model: Model, motion: Motion, done: int, steps: int, dt: float) -> Floats:
+    """(steps, channels + rows) Increments of the prescribed motions, and the loads at the end of each step."""
+    increments = motion.increments(done, steps, dt)
+    if model.loads.rows:
+        increments = np.hstack([increments, motion.values(done + 1, steps, dt)])
+    return np.ascontiguousarray(increments, dtype=np.float64)
 
 
 def broken(model: Model, state: State, last: Frame) -> RunStopped:

@@ -5,7 +5,8 @@ from the initial velocity with half a kick, v(1/2) = v(0) + dt/2 a(0). Prescribe
 increment, so that v(n+1/2) = increment/dt; the reaction is what their acceleration needs beyond the forces
 on them. With R(n) from the central difference of the velocities, the work R(n) dt (v(n-1/2) + v(n+1/2))/2
 makes the discrete balance of kinetic energy and work an identity, and the error of the whole balance is
-O(dt^2). The work of friction and of damping (damping.py) is booked in the same way.
+O(dt^2). The work of friction, of damping (damping.py), of loads that change with time and of weak supports is
+booked in the same way.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from phantomnode.solver.friction import add_friction_forces, friction_power, let
 from phantomnode.solver.model import Model, State
 from phantomnode.solver.q4 import add_element_forces
 from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
+from phantomnode.solver.surface_loads import add_loads, add_support_forces, load_power
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +32,7 @@ DONE, INVERTED, NOT_FINITE = 0, 1, 2
 """What :func:`advance` returns: all steps done, or what stopped it (see the clock for when)."""
 
 
-def initial_state(model: Model, velocity: Floats, search: Search) -> State:
+def initial_state(model: Model, velocity: Floats, search: Search, value: Floats | None = None) -> State:
     """The state at time 0: undeformed, with the forces and accelerations there.
 
     Parameters
@@ -40,6 +42,8 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
         Initial velocity of every node.
     search : Search
         From :func:`phantomnode.solver.search.prepare_search`.
+    value : (rows,) float64 or None
+        Values of the load rows at time 0; zero unless given.
 
     Raises
     ------
@@ -77,6 +81,14 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
         slip=np.zeros(1),
         viscous=np.zeros((n if is_viscous(model.damping) else 0, 2)),
         dissipated=np.zeros(1),
+        value=np.zeros(model.loads.rows) if value is None else np.array(value, dtype=np.float64),
+        applied=np.zeros((model.loads.rows, 2)),
+        point_force=np.zeros((len(model.loads.point_row), 2)),
+        load_impulse=np.zeros((model.loads.rows, 2)),
+        held=np.zeros(model.channels),
+        rate=np.zeros(model.channels),
+        support=np.zeros(model.channels),
+        support_impulse=np.zeros(model.channels),
     )
     advance(model, state, search, 0.0, np.zeros((0, model.channels)))
     return state
@@ -84,7 +96,7 @@ def initial_state(model: Model, velocity: Floats, search: Search) -> State:
 
 @njit(cache=True, error_model="numpy")
 def evaluate_elements(model: Model, state: State) -> int:
-    """Load, internal, hourglass and viscous forces at the current displacement; whether the elements are sound."""
+    """All forces but those of contact at the current displacement; whether the elements are sound."""
     for i in range(len(model.load)):
         state.force[i, 0], state.force[i, 1] = model.load[i, 0], model.load[i, 1]
     if len(model.full.weight) == 0:
@@ -92,6 +104,8 @@ def evaluate_elements(model: Model, state: State) -> int:
     else:
         smallest_j = add_cut_forces(model.full, state.u, state.force)
     cut_j = add_cut_forces(model.cut_elements, state.u, state.force)
+    add_loads(model.loads, state.value, model.x, state.u, state.force, state.applied, state.point_force)
+    add_support_forces(model.supports, state.held, state.u, state.force, state.support)
     if not smallest_j <= cut_j and smallest_j == smallest_j:
         smallest_j = cut_j  # also where it is NaN
     if len(state.viscous) > 0:
@@ -135,7 +149,8 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
     u, v, a = state.u, state.v, state.a
     for c in range(len(state.reaction)):
         state.reaction[c] = 0.0
-    work, slip = 0.0, friction_power(state.friction_force, v)
+    slip = friction_power(state.friction_force, v)
+    work = 0.5 * load_power(model.loads, state.value, state.point_force, v)
     for i in range(len(model.mass)):
         for d in range(2):
             c = model.channel[i, d]
@@ -150,8 +165,18 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
                 work += reaction * 0.5 * (before + after)
                 v[i, d] = after
                 u[i, d] += increment[c]
+    work += 0.5 * load_power(model.loads, state.value, state.point_force, v)
+    for c in range(len(state.held)):
+        rate = increment[c] / dt
+        work += state.support[c] * 0.5 * (state.rate[c] + rate)
+        state.support_impulse[c] += kick * state.support[c]
+        state.held[c] += increment[c]
+        state.rate[c] = rate
     state.external[0] += kick * work
     state.slip[0] += kick * 0.5 * (slip + friction_power(state.friction_force, v))
+    for r in range(len(state.value)):
+        state.load_impulse[r, 0] += kick * state.applied[r, 0]
+        state.load_impulse[r, 1] += kick * state.applied[r, 1]
     for k in range(len(state.pair_peak)):
         state.pair_impulse[k, 0] += kick * state.pair_force[k, 0]
         state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]
@@ -168,8 +193,9 @@ def advance(model: Model, state: State, search: Search, dt: float, increments: F
         Written in place; after a stop it holds the displacement at which the step failed.
     search : Search
     dt : float, s
-    increments : (steps, channels) float64, m
-        Displacement increment of each prescribed motion in each step.
+    increments : (steps, channels + rows) float64
+        Displacement increment of each prescribed motion in each step, m; behind them the value of each load row
+        at its end, Pa or m/s^2.
 
     Returns
     -------
@@ -189,6 +215,8 @@ def advance(model: Model, state: State, search: Search, dt: float, increments: F
         move(model, state, kick, dt, increments[step])
         state.clock[1] += 1.0
         state.clock[0] = state.clock[1] * dt
+        for r in range(len(state.value)):
+            state.value[r] = increments[step, model.channels + r]
         status = evaluate_elements(model, state)
         if status != DONE:
             return status

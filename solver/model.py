@@ -139,15 +139,63 @@ class Contact(NamedTuple):
     master_place: Floats = np.zeros((0, 4))
 
 
+class Loads(NamedTuple):
+    """Forces that are given functions of time: dead ones by degree of freedom, follower pressures by point.
+
+    A load row is one function of time; its value times what stands here is the force.
+
+    node (d,), axis (d,), row (d,), coefficient (d,): a dead force of coefficient times value on one degree of
+    freedom; the coefficient is the integral of N_I over the reference boundary (traction, Eq. 14), that times
+    a component of the normal (dead pressure), or the nodal mass (gravity). point_nodes (q, 4), point_shape
+    (q, 4), point_slope (q, 4), point_row (q,): integration points of follower pressures; the sum of
+    slope[I] x[node I] is the current line element, m, with the material on its left. rows: number of load rows.
+    """
+
+    node: Ints
+    axis: Ints
+    row: Ints
+    coefficient: Floats
+    point_nodes: Ints
+    point_shape: Floats
+    point_slope: Floats
+    point_row: Ints
+    rows: int
+
+
+class Supports(NamedTuple):
+    """Surface points held by springs at prescribed positions (weak Dirichlet conditions by penalty).
+
+    nodes (p, 4), shape (p, 4): the point is sum_I shape[I] u[nodes I]; stiffness (p,) penalty times reference
+    length, N/m (per metre of thickness); channel (p, 2) row of the prescribed motion of each direction, -1 where
+    it is free.
+    """
+
+    nodes: Ints
+    shape: Floats
+    stiffness: Floats
+    channel: Ints
+
+
+def no_loads() -> Loads:
+    """No load at all."""
+    none, nodes, shape = np.zeros(0, np.int64), np.zeros((0, 4), np.int64), np.zeros((0, 4))
+    return Loads(none, none, none, np.zeros(0), nodes, shape, shape, none, 0)
+
+
+def no_supports() -> Supports:
+    """No weak support at all."""
+    return Supports(np.zeros((0, 4), np.int64), np.zeros((0, 4)), np.zeros(0), np.zeros((0, 2), np.int64))
+
+
 class Model(NamedTuple):
     """Everything that stays the same during a run.
 
     x (n, 2) reference positions, m; mass (n,) lumped, kg/m (0 for the nodes of rigid obstacles, which are
     held in both directions); load (n, 2) constant nodal force (gravity), N/m;
     channel (n, 2) row of the prescribed motion that holds each degree of freedom, -1 where it is free;
-    channels: number of prescribed motions; elements, cut_elements, contact: the lists above; full: the uncut
-    elements once more with their points of full integration, where that is asked for: it stands for the one
-    point and the hourglass control of ``elements`` then; damping.
+    channels: number of prescribed motions, those of supports included; elements, cut_elements, contact: the lists
+    above; full: the uncut elements once more with their points of full integration, where that is asked for: it
+    stands for the one point and the hourglass control of ``elements`` then; damping, loads, supports.
     """
 
     x: Floats
@@ -160,6 +208,8 @@ class Model(NamedTuple):
     contact: Contact
     full: CutElements = NO_POINTS
     damping: Damping = NO_DAMPING
+    loads: Loads = no_loads()
+    supports: Supports = no_supports()
 
 
 class State(NamedTuple):
@@ -167,13 +217,13 @@ class State(NamedTuple):
 
     u (n, 2) displacement at the current time, m; v (n, 2) velocity half a step back, m/s (at the start: the
     initial velocity); a (n, 2) acceleration at the current time (of prescribed degrees of freedom: the last
-    known one, half a step back), m/s^2; force (n, 2) internal + hourglass + contact + load forces on the
-    nodes at the current time, N/m; reaction (channels,) force that each prescribed motion exerted at the
-    previous step, N/m; external (1,) work of the reactions up to half a step back, J/m; pair_force (k, 2)
-    force on the slave of each pair, N/m; pair_impulse (k, 2) its time integral up to half a step back, N
-    s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration (positive) or -1e300 where open,
-    m; normal (g, 2) direction of the force on the slave; clock (2,): time, s, and number of steps done;
-    smallest_j (1,) smallest J = det F met in the last step.
+    known one, half a step back), m/s^2; force (n, 2) internal + hourglass + contact + load + support forces on
+    the nodes at the current time, N/m; reaction (channels,) force that each prescribed motion exerted at the
+    previous step, N/m; external (1,) work of reactions, supports and loads that change with time, up to half a
+    step back, J/m; pair_force (k, 2) force on the slave of each pair, N/m; pair_impulse (k, 2) its time integral
+    up to half a step back, N s/m; pair_peak (k,) its largest norm so far, N/m; gap (g,) penetration (positive) or
+    -1e300 where open, m; normal (g, 2) direction of the force on the slave; clock (2,): time, s, and number of
+    steps done; smallest_j (1,) smallest J = det F met in the last step.
 
     Friction, all empty where no pair has any: anchor (g,) master segment on which the spring of a stuck point
     is fixed, -1 where the point is open; anchor_at (g,) parameter on that segment, beyond 0..1 where the point has
@@ -183,6 +233,13 @@ class State(NamedTuple):
 
     Damping: viscous (n, 2) the part of ``force`` by bulk and hourglass viscosity, N/m, empty where there is none;
     dissipated (1,) energy lost to all damping up to half a step back, J/m.
+
+    Loads and weak supports: value (rows,) current value of each load row, Pa or m/s^2; applied (rows, 2) its
+    current resultant, N/m; point_force (q, 2) current force of each follower point, N/m; load_impulse (rows, 2)
+    time integral of the resultants up to half a step back, N s/m; held (channels,) current prescribed
+    displacement, m; rate (channels,) its rate over the last step, m/s; support (channels,) current force of the
+    springs of each channel on the body, N/m; support_impulse (channels,) its time integral up to half a step
+    back, N s/m.
     """
 
     u: Floats
@@ -206,13 +263,21 @@ class State(NamedTuple):
     slip: Floats
     viscous: Floats
     dissipated: Floats
+    value: Floats = NONE
+    applied: Floats = NOWHERE
+    point_force: Floats = NOWHERE
+    load_impulse: Floats = NOWHERE
+    held: Floats = NONE
+    rate: Floats = NONE
+    support: Floats = NONE
+    support_impulse: Floats = NONE
 
 
 class Energies(NamedTuple):
     """Energies at one time, J per metre of thickness.
 
-    contact holds the energy of the normal and of the tangential springs; friction and damping are what slip
-    and damping have dissipated since the start.
+    contact holds the energy of all penalty springs: normal, tangential, and of weak supports; friction and damping
+    are what slip and damping have dissipated since the start.
     """
 
     kinetic: float

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.solver.model import Contact, CutElements, Elements, Model
+from phantomnode.solver.surface_loads import support_stiffness
 
 Floats = NDArray[np.float64]
 
@@ -22,8 +23,8 @@ class StepEstimate(NamedTuple):
     """A safe time step, dt = safety * 2 (sqrt(1 + xi^2) - xi)/sqrt(element_frequency^2 + contact_frequency^2).
 
     dt, s; element_frequency, rad/s, of the element that limits the step, alone; contact_frequency, rad/s, of the
-    penalty springs at its nodes with every slave point closed; element: its number (uncut elements first, then
-    cut ones); xi: the part of critical damping that viscosity gives that element.
+    penalty springs at its nodes, with every slave point of contact closed; element: its number (uncut elements
+    first, then cut ones); xi: the part of critical damping that viscosity gives that element.
     """
 
     dt: float
@@ -193,7 +194,7 @@ def contact_rates(model: Model) -> Floats:
     A point adds eps w to the stiffness of its slave and of its master side. (a - b)^2 <= (1 + q) a^2 + (1 + 1/q)
     b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. Rows of shape functions
     bound each side. Points over the master sides of a vertex weigh what these are long in the mean, and at most
-    one point more: a Gauss point lies within its share of the segment.
+    one point more: a Gauss point lies within its share of the segment. Weak supports have one side only.
     """
     contact, n = model.contact, len(model.mass)
     slave, master = np.zeros(n), np.zeros(n)
@@ -213,13 +214,14 @@ def contact_rates(model: Model) -> Floats:
     np.add.at(master, contact.master_nodes, (half + first)[:, None] * contact.start_shape)
     np.add.at(master, contact.master_nodes, (half + last)[:, None] * contact.end_shape)
     heavy = model.mass > 0.0  # the nodes of rigid obstacles have none, and do not swing
-    slave, master = (
-        np.where(heavy, side / np.where(heavy, model.mass, 1.0), 0.0) for side in (slave, master)
+    held = np.max(support_stiffness(model.supports, n), axis=1)
+    slave, master, held = (
+        np.where(heavy, side / np.where(heavy, model.mass, 1.0), 0.0) for side in (slave, master, held)
     )
     if not np.max(slave, initial=0.0) > 0.0 or not np.max(master) > 0.0:
-        return slave + master  # nothing to part: one side is rigid, or there is no contact
+        return slave + master + held  # nothing to part: one side is rigid, or there is no contact
     ratio = np.max(master) / np.max(slave)
-    return np.asarray((1.0 + ratio) * slave + (1.0 + 1.0 / ratio) * master)
+    return np.asarray((1.0 + ratio) * slave + (1.0 + 1.0 / ratio) * master + held)
 
 
 def _spring_stiffness(contact: Contact) -> Floats:

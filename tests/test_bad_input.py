@@ -120,7 +120,7 @@ FAULTS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
     ),
     "boundary through cells": (
         nothing,
-        ["body.part.grid.cell=0.07", "boundary.base.on='part.bottom'"],
+        ["body.part.grid.cell=0.07", "boundary.base.on='part.bottom'", "boundary.base.weak=false"],
         "inside of cells",
     ),
     "box without nodes": (
@@ -138,6 +138,54 @@ FAULTS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
         ["body.part.geometry.rotate=5.0", "contact.landing.slave='part.bottom'"],
         "no straight line",
     ),
+    "surface held twice": (
+        nothing,
+        [
+            "body.part.grid.cell=0.07",
+            "boundary.a={on='part.bottom', displacement={y=0.0}}",
+            "boundary.b={on='part.outer', velocity={y=0.0}}",
+        ],
+        "already held in y by boundary.a",
+    ),
+    "two kinds of boundary": (nothing, ["boundary.base.pressure=1.0"], "exactly one of displacement"),
+    "load on a box": (
+        nothing,
+        ["boundary.p={on={body='part', box=[[0.0, 0.0], [1.0, 1.0]]}, pressure=1e5}"],
+        "acts on a surface",
+    ),
+    "traction that follows": (
+        nothing,
+        ["boundary.p={on='part.outer', traction={x=1.0}, follower=true}"],
+        "follower belongs to a pressure",
+    ),
+    "springs for a load": (
+        nothing,
+        ["boundary.p={on='part.outer', pressure=1.0, weak=true}"],
+        "weak belongs to a displacement",
+    ),
+    "penalty of a strong support": (
+        nothing,
+        ["boundary.base.penalty={value=1e12}"],
+        "add weak = true",
+    ),
+    "penalty without springs": (
+        nothing,
+        ["boundary.base.penalty='auto'", "boundary.base.weak=false"],
+        "leave out weak = false",
+    ),
+    "penalty of no kind": (nothing, ["boundary.base.penalty={value=-1.0}"], "penalty.value = -1.0"),
+    "pressure that is not finite": (
+        nothing,
+        ["boundary.p={on='part.outer', pressure='1/t'}"],
+        "boundary.p.pressure",
+    ),
+    "traction without a direction": (
+        nothing,
+        ["boundary.p={on='part.outer', traction={}}"],
+        "x or y or both",
+    ),
+    "gravity that is not finite": (nothing, ["gravity=[0.0, 'log(t)']"], "gravity.1"),
+    "gravity of one number": (nothing, ["gravity=9.81"], "gravity = 9.81"),
     "expression with an unknown name": (nothing, ["boundary.base.displacement={y='2*tt'}"], "tt"),
     "expression that is not finite": (nothing, ["boundary.base.displacement={y='log(t)'}"], "finite"),
     "displacement that jumps": (nothing, ["boundary.base.displacement={y=0.1}"], "t = 0"),

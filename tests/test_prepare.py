@@ -153,10 +153,13 @@ def test_boundaries_that_cannot_be_are_refused(held: dict[str, Any], message: st
         prepared({"block": block((0, 0), (1, 1))}, boundary=held)
 
 
-def test_a_side_through_the_inside_of_cells_cannot_be_held() -> None:
+def test_a_side_through_the_inside_of_cells_is_held_by_springs_unless_they_are_refused() -> None:
     body = block((0.1, 0.1), (0.9, 0.9), aligned=False)
+    held = {"on": "block.left", "displacement": {"x": 0.0}}
+    case = prepared({"block": body}, boundary={"a": held})
+    assert case.boundaries[0].kind == "weak" and np.all(case.model.channel < 0)
     with pytest.raises(CaseError, match="no node\\s+stands to be held"):
-        prepared({"block": body}, boundary={"a": {"on": "block.left", "displacement": {"x": 0.0}}})
+        prepared({"block": body}, boundary={"a": {**held, "weak": False}})
 
 
 # --- overlaps, grids -------------------------------------------------------------------------------------
