@@ -8,6 +8,7 @@ arrangement of noded segments; no coordinate is looked at again.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from phantomnode.geometry.inside import cell_of_faces, check_cover, inside_of
 from phantomnode.geometry.noding import Lattice, Pieces, cross, node_segments
 from phantomnode.geometry.tags import CellEdges, Tags
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
@@ -77,6 +79,21 @@ class Fragments:
     piece: Ints
     curve_forward: Bools
     loops: int
+
+    @cached_property
+    def positions(self) -> Floats:
+        """(v, 2) Positions of the vertices, metres; those on a grid edge stand on its straight line.
+
+        The lattice has them up to a unit beside it, where the shape functions of the two cells differ a little.
+        """
+        xy, nodes = self.lattice.position(self.arrangement.vertices), self.lattice.position(self.nodes)
+        on_edge = np.flatnonzero(self.grid_edge >= 0)
+        vertex, edge = self.arrangement.ends[on_edge].reshape(-1), np.repeat(self.grid_edge[on_edge], 2)
+        start, along = nodes[self.edges.ends[edge, 0]], np.diff(nodes[self.edges.ends[edge]], axis=1)[:, 0]
+        t = np.sum((xy[vertex] - start) * along, axis=1) / np.sum(along**2, axis=1)
+        inner = (t > 0.0) & (t < 1.0)
+        xy[vertex[inner]] = (start + t[:, None] * along)[inner]
+        return xy
 
     def beside(self, forward: bool) -> Ints:
         """(s,) The fragment on the left (``forward``) or right of each segment, -1 in the void.

@@ -125,11 +125,11 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
     first, second, element_pairs = _merged_corners(fragments)
     elements, grid_node = _numbered(quads, first, second)
     xy = fragments.lattice.position(fragments.nodes)
-    unit_area = 0.5 * float(np.prod(fragments.lattice.unit))
-    area: Floats = np.asarray(fragments.doubled_area * unit_area, dtype=np.float64)
     triangles, triangle_element = _triangles(fragments)
-    corners = fragments.nodes[quads]
-    cell_area = cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]) * unit_area
+    diagonals = xy[quads[:, 2:]] - xy[quads[:, :2]]
+    cell_area = 0.5 * _cross(diagonals[:, 0], diagonals[:, 1])
+    cut_area = np.bincount(triangle_element, _areas(triangles), minlength=count)
+    area = np.where(fragments.whole, cell_area, cut_area)
     return CutMesh(
         xy=xy[grid_node],
         grid_node=grid_node,
@@ -202,25 +202,39 @@ def _real(fragments: Fragments, quads: Ints, elements: Ints, nodes: int) -> Bool
 def _triangles(fragments: Fragments) -> tuple[Floats, Ints]:
     """Counter-clockwise triangles of the cut fragments, ordered by element."""
     arrangement = fragments.arrangement
-    corners: list[Ints] = []
-    element: list[Ints] = []
+    corners: list[Ints] = [np.zeros((0, 3), dtype=np.int64)]
+    element: list[Ints] = [np.zeros(0, dtype=np.int64)]
     faces = np.flatnonzero(fragments.of_face >= 0)
     for face in faces[~fragments.whole[fragments.of_face[faces]]]:
         walk = arrangement.origin[arrangement.cycles[face]]
-        ring = arrangement.vertices[walk]
-        parts = _triangulated(ring, int(arrangement.doubled_areas[face]))
+        parts = _triangulated(walk, arrangement.vertices, int(arrangement.doubled_areas[face]))
         corners.append(parts)
         element.append(np.full(len(parts), fragments.of_face[face]))
-    if not corners:
-        return np.zeros((0, 3, 2)), np.zeros(0, dtype=np.int64)
-    points, owner = np.concatenate(corners), np.concatenate(element)
+    vertices, owner = np.concatenate(corners), np.concatenate(element)
     order = np.argsort(owner, kind="stable")
-    return fragments.lattice.position(points[order].reshape(-1, 2)).reshape(-1, 3, 2), owner[order]
+    vertices, owner = vertices[order], owner[order]
+    triangles = fragments.positions[vertices]
+    # A sliver about as thin as the lattice may turn over when its corners are put on the grid edge: it stays
+    # as the lattice has it.
+    sliver = np.isin(owner, owner[_areas(triangles) <= 0.0])
+    triangles[sliver] = fragments.lattice.position(arrangement.vertices)[vertices[sliver]]
+    return triangles, owner
 
 
-def _triangulated(ring: Ints, doubled_area: int) -> Ints:
-    """(t, 3, 2) Triangles of a polygon given by its walk, exact in area; those of no area are left out."""
-    ring = _without_spikes(ring)
+def _areas(triangles: Floats) -> Floats:
+    """(t,) Signed areas of (t, 3, 2) triangles."""
+    return 0.5 * _cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """(k,) z-component of the cross product of (k, 2) vectors."""
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _triangulated(walk: Ints, vertices: Ints, doubled_area: int) -> Ints:
+    """(t, 3) Vertices of triangles of a polygon given by its walk, exact in area; none of no area."""
+    walk = _without_spikes(walk)
+    ring = vertices[walk]
     local = ring - ring[0]
     turn = cross(np.roll(local, -1, axis=0) - local, np.roll(local, -2, axis=0) - np.roll(local, -1, axis=0))
     if np.all(turn >= 0):
@@ -228,17 +242,17 @@ def _triangulated(ring: Ints, doubled_area: int) -> Ints:
     else:
         flat = mapbox_earcut.triangulate_float64(local.astype(np.float64), np.array([len(ring)]))
         index = np.asarray(flat, dtype=np.int64).reshape(-1, 3)
-    triangles = ring[index]
-    twice = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    triangles[twice < 0] = triangles[twice < 0][:, ::-1]
+    a, b, c = ring[index.T]
+    twice = cross(b - a, c - a)
+    index[twice < 0] = index[twice < 0][:, ::-1]
     if int(np.abs(twice).sum()) != doubled_area:
         raise GeometryError("a fragment could not be divided into triangles: report this geometry as a bug")
-    return np.asarray(triangles[twice != 0])
+    return np.asarray(walk[index[twice != 0]])
 
 
-def _without_spikes(ring: Ints) -> Ints:
+def _without_spikes(walk: Ints) -> Ints:
     """A walk without its forays along slits and bridges (a, b, a becomes a)."""
-    points = [tuple(p) for p in ring.tolist()]
+    points = walk.tolist()
     k = 0
     while len(points) > 2 and k < len(points):
         if points[k - 2] == points[k]:
@@ -248,7 +262,7 @@ def _without_spikes(ring: Ints) -> Ints:
             k = 0
         else:
             k += 1
-    return np.array(points, dtype=np.int64).reshape(-1, 2)
+    return np.array(points, dtype=np.int64)
 
 
 def _boundary_segments(fragments: Fragments, corners: Floats) -> BoundarySegments:
@@ -263,8 +277,7 @@ def _boundary_segments(fragments: Fragments, corners: Floats) -> BoundarySegment
     along_curve = fragments.curve_forward[segment] == (half % 2 == 0)
     on_interface = fragments.curve[segment] >= fragments.loops
     start, end = arrangement.origin[half], arrangement.origin[half ^ 1]
-    ends = fragments.lattice.position(arrangement.vertices[np.stack([start, end], axis=1).reshape(-1)])
-    ends = ends.reshape(-1, 2, 2)
+    ends = fragments.positions[np.stack([start, end], axis=1)]
     element = inside[half]
     local = to_local(np.repeat(corners[element], 2, axis=0), ends.reshape(-1, 2)).reshape(-1, 2, 2)
     return BoundarySegments(

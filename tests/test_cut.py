@@ -268,3 +268,19 @@ def test_noding_of_degenerate_positions(segments: list, pieces: int) -> None:
     assert len(noded.ends) == pieces
     again = node_segments(noded.vertices[noded.ends[:, 0]], noded.vertices[noded.ends[:, 1]])
     assert len(again.ends) == pieces  # nothing is left to split
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_fragments_of_crooked_cells_fill_them(seed: int) -> None:
+    """On slanted edges too the fragments of a cell sum to its area, to 1e-12 of it: rounding, no lattice."""
+    rng, cells = np.random.default_rng(seed), 12
+    grid = square_grid(cells)
+    inner = np.all((grid.xy > 0) & (grid.xy < cells), axis=1)
+    shaken = BackgroundGrid(grid.xy + 0.2 * rng.uniform(-1, 1, grid.xy.shape) * inner[:, None], grid.quads)
+    mesh = cut_mesh(shaken, (box(0, 0, cells, cells),), *random_cuts(rng, cells))
+    corners = Lattice.of(shaken).position(Lattice.of(shaken).snap(shaken.xy))[grid.quads]
+    d1, d2 = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+    areas = 0.5 * (d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0])
+    sums = np.bincount(mesh.cell, weights=mesh.area, minlength=cells**2)
+    assert np.max(np.abs(sums - areas)) <= 1e-12
+    assert np.all(mesh.area > 0.0)
