@@ -290,66 +290,6 @@ def test_an_overlap_at_the_start_can_count_as_touching():
     np.testing.assert_allclose(pair_force[0, 1], PENALTY * 0.01 * 0.005, rtol=1e-12)
 
 
-def folded(rng, n=40):
-    """A closed curve of n nodes that is folded so that it runs through itself, each segment with two points."""
-    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
-    # A long flat loop, run clockwise: the material is outside, as around a hole; its faces overlap here and there.
-    y = np.column_stack([np.cos(angle), 0.04 * np.sin(angle)]) + 0.01 * rng.uniform(-1, 1, (n, 2))
-    x = np.column_stack([np.cos(angle), -np.sin(angle)])
-    length = np.full(n, np.hypot(*(x[1] - x[0])))
-    a, b = np.arange(n), (np.arange(n) + 1) % n
-    nodes, unit = np.column_stack([a, b, b, b]), np.eye(4)
-    start, end = np.repeat(unit[:1], n, axis=0), np.repeat(unit[1:2], n, axis=0)
-    at = np.array([0.21, 0.79])
-    along = length[0] * np.arange(n)
-    contact = Contact(
-        np.repeat(nodes, 2, axis=0), (start[:, None] * (1 - at)[:, None] + end[:, None] * at[:, None]).reshape(-1, 4),
-        np.repeat(length / 2, 2), np.array([0, 2 * n]), nodes, start, end, (a - 1) % n, b, np.array([0, n]),
-        np.array([PENALTY]), np.array([0.15]), np.zeros(2 * n), exclusion=np.array([3 * length[0]]),
-        slave_place=np.column_stack([np.zeros(2 * n), (along[:, None] + at * length[0]).reshape(-1)]),
-        master_place=np.column_stack([np.zeros(n), along + length / 2, length / 2, np.full(n, length.sum())]),
-    )  # fmt: skip
-    return contact, x, y - x
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_self_contact_is_the_gradient_of_its_energy(seed):
-    """Across the fold, at its crease, where the neighbourhood of a point begins to be seen."""
-    rng = np.random.default_rng(seed)
-    contact, x, u = folded(rng)
-    direction, step = rng.normal(size=x.shape), 1e-7
-    force, pair_force, gap, _ = forces_at(contact, x, u)
-
-    def energy(w):
-        return contact_energy(contact, forces_at(contact, x, w)[2])
-
-    slope = (energy(u + step * direction) - energy(u - step * direction)) / (2 * step)
-    assert np.sum(gap > 0.0) > 5
-    assert slope == pytest.approx(-np.sum(force * direction), rel=1e-6, abs=1e-7 * np.abs(force).sum())
-    assert np.abs(force.sum(axis=0)).max() < 1e-13 * np.abs(force).sum()
-    y = x + u
-    assert abs(np.sum(y[:, 0] * force[:, 1] - y[:, 1] * force[:, 0])) < 1e-13 * np.abs(force).sum()
-
-
-def test_self_contact_has_no_jump_where_the_neighbourhood_begins():
-    """A fold runs along the curve like a tread: points come to see each other, and cease to, at some depth."""
-    contact, x, _ = folded(np.random.default_rng(1))
-    angle = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
-    places = [
-        np.column_stack([np.cos(angle + s), 0.04 * np.sin(angle + s)]) for s in np.linspace(0.0, 0.6, 6001)
-    ]
-    seen = [forces_at(contact, x, y - x) for y in places]
-    energies = np.array([contact_energy(contact, gap) for _, _, gap, _ in seen])
-    work = [
-        -0.5 * np.sum((a[0] + b[0]) * (there - here))
-        for a, b, here, there in zip(seen, seen[1:], places, places[1:], strict=False)
-    ]
-    # Trapezium; where a normal turns at a vertex the force jumps within one of 6000 steps.
-    np.testing.assert_allclose(energies[1:] - energies[0], np.cumsum(work), atol=1e-3 * energies[0])
-    closed = [int(np.sum(gap > 0.0)) for _, _, gap, _ in seen]
-    assert min(closed) < max(closed)
-
-
 def test_the_search_finds_every_pair_that_brute_force_finds():
     """10,000 configurations: random points, polygons, reaches, displacements; bins against all pairs."""
     rng = np.random.default_rng(21)
