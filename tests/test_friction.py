@@ -10,7 +10,7 @@ from test_explicit import Motion, grid, outline
 from phantomnode.solver.contact import add_contact_forces, contact_energy, depth_at, nearest_segment
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import frames
-from phantomnode.solver.friction import add_friction_forces
+from phantomnode.solver.friction import add_friction_forces, friction_power
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Contact, Model, State
 from phantomnode.solver.q4 import one_point_elements
@@ -189,9 +189,13 @@ def test_twin_in_numpy(seed):
         evaluate(contact, x, state, 0.06 * rng.uniform(-1, 1, x.shape))
         force, energy = twin(contact, x, state.u, state.gap, state.anchor, state.anchor_at)
         np.testing.assert_allclose(state.friction_force, force, atol=1e-13 * np.abs(state.force).max())
-        assert state.stick[0] == pytest.approx(
-            energy, rel=1e-10, abs=1e-4
-        )  # J of 1e8: the twin's squares cancel
+        # Of the energies whose difference the spring's is.
+        assert state.stick[0] == pytest.approx(energy, abs=1e-13 * contact_energy(contact, state.gap))
+        v = rng.normal(size=x.shape)
+        power = state.friction_force * v
+        assert friction_power(state.friction_force, v) == pytest.approx(
+            power.sum(), abs=1e-13 * np.abs(power).sum()
+        )
         limit = 0.5 * contact.penalty[0] * contact.slave_weight * np.maximum(state.gap, 0.0)
         assert np.all(np.hypot(*state.tangential.T) <= limit * (1.0 + 1e-9) + 1e-3)
 

@@ -1,10 +1,10 @@
-"""Self contact: a NumPy twin whose forces are complex-step derivatives, the gradient by differences, no jump."""
+"""Contact against a NumPy twin by complex steps; self contact: the gradient by differences, no jump."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_contact import PENALTY, forces_at
+from test_contact import PENALTY, forces_at, quad_contact
 
 from phantomnode.solver.contact import contact_energy
 from phantomnode.solver.model import Contact
@@ -33,7 +33,9 @@ def folded(rng, n=40, rough=0.01):
 
 
 def along_curve(contact, s, t, g):
-    """Distance from slave point g to the place t on segment s along their closed curve, m."""
+    """Distance from slave point g to the place t on segment s along their closed curve, m; infinite on two curves."""
+    if len(contact.exclusion) == 0:
+        return np.inf
     _, middle, half, length = contact.master_place[s]
     apart = middle + (2.0 * t - 1.0) * half - contact.slave_place[g, 1]
     apart = apart if np.real(apart) > 0.0 else -apart
@@ -47,33 +49,41 @@ def closest_place(contact, g, p, a, b):
     foot = np.where((t <= 0.0)[:, None], a, np.where((t >= 1.0)[:, None], b, a + t[:, None] * d))
     distance = np.hypot(*(p - foot).T)
     centre = np.array([along_curve(contact, s, 0.5, g) for s in range(len(a))])
-    distance[centre + contact.master_place[:, 2] < contact.exclusion[0]] = np.inf
+    if len(contact.exclusion):
+        distance[centre + contact.master_place[:, 2] < contact.exclusion[0]] = np.inf
     s = int(np.argmin(distance))
     return s, float(np.clip(t[s], 0.0, 1.0)), distance[s]
 
 
 def depth_on(contact, g, s, t, sign, p, a, b):
-    """Depth of p at a vertex (t = 0 or 1) or inside segment s, less the recess; analytic, so complex p, a, b do."""
+    """Depth of p at a vertex (sign +-1, t = 0 or 1) or over the line of segment s (sign 0), less the recess.
+
+    Analytic, so complex p, a, b do.
+    """
     d = b - a
-    if t in (0.0, 1.0):
+    if sign:
         r = p - (a if t == 0.0 else b)
         depth = sign * np.sqrt(r @ r)
     else:
         t = ((p - a) @ d) / (d @ d)
         depth = ((a - p) @ np.array([d[1], -d[0]])) / np.sqrt(d @ d)
-    recess = contact.reach[0] * (2.0 - along_curve(contact, s, t, g) / contact.exclusion[0])
+    apart = along_curve(contact, s, t, g)
+    recess = contact.reach[0] * (2.0 - apart / contact.exclusion[0]) if apart != np.inf else 0.0
     return depth - contact.offset[g] - (recess if np.real(recess) > 0.0 else 0.0)
 
 
 def twin(contact, y):
-    """Self contact on the nodes of a closed polygon at y: forces, gaps, and which points close, (3, g) flags:
+    """Contact of one pair with the nodes at y: forces, gaps, and which points close, (3, g) flags:
     inside a segment, on a vertex, where the surface recedes.
 
     The forces are derivatives of eps w g^2/2 by the complex step, which has no cancellation.
     """
     points = len(contact.slave_weight)
     force, gap, kind = np.zeros_like(y), np.full(points, -np.inf), np.zeros((3, points), dtype=bool)
-    a, b = y[contact.master_nodes[:, 0]], y[contact.master_nodes[:, 1]]
+    a, b = (
+        np.einsum("si,sia->sa", shape, y[contact.master_nodes])
+        for shape in (contact.start_shape, contact.end_shape)
+    )
     turned = (b - a)[:, ::-1] * [1.0, -1.0]
     normal = turned / np.hypot(*turned.T)[:, None]
     for g, weight in enumerate(contact.slave_weight):
@@ -81,19 +91,21 @@ def twin(contact, y):
         s, t, distance = closest_place(contact, g, p, a, b)
         if distance > contact.reach[0]:
             continue
-        vertex = b[s] if t == 1.0 else a[s]
-        both = normal[s] + normal[contact.following[s] if t == 1.0 else contact.previous[s]]
-        where = contact, g, s, t, np.sign((vertex - p) @ both)
+        sign, neighbour = 0.0, contact.following[s] if t == 1.0 else contact.previous[s]
+        if t in (0.0, 1.0) and neighbour >= 0:
+            sign = np.sign(((b if t == 1.0 else a)[s] - p) @ (normal[s] + normal[neighbour]))
+        where = contact, g, s, t, sign
         depth = depth_on(*where, p, a[s], b[s])
         if depth <= 0.0:
             continue
-        gap[g], on_vertex = depth, t in (0.0, 1.0)
-        kind[:, g] = not on_vertex, on_vertex, along_curve(contact, s, t, g) < 2.0 * contact.exclusion[0]
+        gap[g] = depth
+        kind[:, g] = sign == 0.0, sign != 0.0, along_curve(contact, s, t, g) < 2.0 * np.sum(contact.exclusion)
         steps = 1e-40j * np.eye(6).reshape(6, 3, 2)
         slope = [np.imag(depth_on(*where, *(np.array([p, a[s], b[s]]) + h))) / 1e-40 for h in steps]
         pulls = -contact.penalty[0] * weight * depth * np.reshape(slope, (3, 2))
         np.add.at(force, contact.slave_nodes[g], np.outer(contact.slave_shape[g], pulls[0]))
-        np.add.at(force, contact.master_nodes[s, :2], pulls[1:])
+        np.add.at(force, contact.master_nodes[s], np.outer(contact.start_shape[s], pulls[1]))
+        np.add.at(force, contact.master_nodes[s], np.outer(contact.end_shape[s], pulls[2]))
     return force, gap, kind
 
 
@@ -111,6 +123,24 @@ def test_self_contact_agrees_with_the_numpy_twin():
         np.testing.assert_allclose(gap[gap > 0.0], depth[gap > 0.0], atol=1e-13 * depth.max())
         seen += [*np.sum(kind[:2], axis=1), np.sum(kind[0] & kind[2])]
     assert np.all(seen > 15)  # inside, on vertices, inside where the surface recedes
+
+
+def test_contact_of_two_bodies_agrees_with_the_numpy_twin():
+    """On distorted elements: interiors, vertices, free ends."""
+    seen = np.zeros(2)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        contact, x = quad_contact(rng)
+        u = 0.05 * rng.uniform(-1, 1, x.shape)
+        force, pair_force, gap, _ = forces_at(contact, x, u)
+        expected, depth, kind = twin(contact, x + u)
+        assert np.abs(force - expected).max() < 1e-13 * np.abs(expected).max()
+        np.testing.assert_array_equal(gap > 0.0, depth > 0.0)
+        np.testing.assert_allclose(
+            pair_force[0], expected[4:].sum(axis=0), atol=1e-13 * np.abs(expected).max()
+        )
+        seen += np.sum(kind[:2], axis=1)
+    assert np.all(seen > 15)
 
 
 @pytest.mark.parametrize("rough", [0.01, 0.04])

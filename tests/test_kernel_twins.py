@@ -1,0 +1,131 @@
+"""Kernels that no other test compares with NumPy: the motion, the nearest wall, the anchor, the level set's foot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from test_contact import NOTCH, point_contact, star
+from test_explicit import grid, model_of
+from test_levelset import chain
+from test_self_contact import along_curve, folded
+
+from phantomnode.geometry.curves import arc_centre
+from phantomnode.geometry.levelset import LevelSet
+from phantomnode.solver.friction import slide
+from phantomnode.solver.leapfrog import initial_state, move
+from phantomnode.solver.search import nearest_wall, prepare_search
+
+
+def test_motion_agrees_with_numpy():
+    """Velocity, displacement, reactions, impulses and works of one step; nodes free and prescribed."""
+    rng = np.random.default_rng(7)
+    x, quads = grid(3, 2, 0.1)
+    channel = np.full(x.shape, -1)
+    channel[:3, 0], channel[2:5, 1] = 0, 1
+    model = model_of(x, quads, channel=channel)
+    state = initial_state(model, rng.normal(size=x.shape), prepare_search(model.contact))
+    extra = {name: rng.normal(size=2) for name in ("held", "rate", "support", "support_impulse")}
+    state = state._replace(
+        friction_force=rng.normal(size=x.shape), slip=np.ones(1), value=rng.normal(size=2),
+        applied=rng.normal(size=(2, 2)), load_impulse=rng.normal(size=(2, 2)), pair_peak=np.ones(1),
+        pair_force=rng.normal(size=(1, 2)), pair_impulse=rng.normal(size=(1, 2)), external=np.ones(1), **extra,
+    )  # fmt: skip
+    state.u[:], state.a[:], state.force[:] = rng.normal(size=(3, *x.shape))
+    old = {name: np.copy(value) for name, value in state._asdict().items()}
+    kick, dt, increment = 0.3, 0.4, rng.normal(size=2)
+    move(model, state, kick, dt, increment)
+
+    held, rate = channel >= 0, increment / dt
+    v = np.where(held, rate[channel], old["v"] + kick * old["a"])
+    a = (v - old["v"]) / kick
+    reaction = np.where(held, model.mass[:, None] * a - old["force"], 0.0)
+    mean = 0.5 * (old["v"] + v)
+    work = np.sum(reaction * mean) + np.sum(old["support"] * 0.5 * (old["rate"] + rate))
+    expected = {
+        "v": v,
+        "u": old["u"] + np.where(held, increment[channel], dt * v),
+        "a": np.where(held, a, old["a"]),
+        "reaction": [reaction[channel == c].sum() for c in (0, 1)],
+        "external": old["external"] + kick * work,
+        "slip": old["slip"] + kick * np.sum(old["friction_force"] * mean),
+        "held": old["held"] + increment,
+        "rate": rate,
+        "support_impulse": old["support_impulse"] + kick * old["support"],
+        "load_impulse": old["load_impulse"] + kick * old["applied"],
+        "pair_impulse": old["pair_impulse"] + kick * old["pair_force"],
+    }
+    for name, value in (old | expected).items():
+        scale = np.abs(value).max(initial=1.0)
+        np.testing.assert_allclose(getattr(state, name), value, atol=1e-13 * scale, rtol=0, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_nearest_wall_agrees_with_numpy(seed):
+    contact, x, u = folded(np.random.default_rng(seed), rough=0.04)
+    y, walls = x + u, []
+    a, b = y[contact.master_nodes[:, 0]], y[contact.master_nodes[:, 1]]
+    d = b - a
+    for g in range(len(contact.slave_weight)):
+        p = contact.slave_shape[g] @ y[contact.slave_nodes[g]]
+        t = np.clip(np.sum((p - a) * d, axis=1) / np.sum(d * d, axis=1), 0.0, 1.0)
+        distance = np.hypot(*(p - a - t[:, None] * d).T)
+        away = (a - p)[:, 0] * d[:, 1] - (a - p)[:, 1] * d[:, 0] > 0.0
+        centre = np.array([along_curve(contact, s, 0.5, g) for s in range(len(a))])
+        own = centre + contact.master_place[:, 2] < contact.exclusion[0]
+        walls.append(distance[away & ~own & (distance < contact.reach[0])].min(initial=np.inf))
+    assert nearest_wall(contact, 0, y) == pytest.approx(min(walls), rel=1e-13)
+
+
+def crossings(c, radius, start, end):
+    """Where the way from start to end leaves the circle about c: parameters, by the roots of a quadratic."""
+    d = end - start
+    roots = np.roots([d @ d, 2.0 * d @ (start - c), (start - c) @ (start - c) - radius**2])
+    real = np.real(roots[np.abs(np.imag(roots)) == 0.0])
+    return [t for t in real if 0.0 <= t <= 1.0 and d @ (start + t * d - c) > 0.0]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_dragged_anchor_agrees_with_numpy(seed):
+    """Over the vertices of a random polygon: the first place on the way that is as far as the radius."""
+    rng = np.random.default_rng(seed)
+    polygon = star(16, rng)
+    contact, x = point_contact(NOTCH[:1], polygon, 0.3)
+    n, moved = len(polygon), 0
+    for _ in range(50):
+        s, hops, t, at = int(rng.integers(n)), int(rng.integers(-6, 7)), *rng.uniform(0.01, 0.99, 2)
+        anchor, radius = (s + hops) % n, rng.uniform(0.02, 0.6)
+        forth = hops > 0 or (hops == 0 and at >= t)
+        places = [polygon[i] + w * (polygon[(i + 1) % n] - polygon[i]) for i, w in ((s, t), (anchor, at))]
+        between = np.arange(s + 1, s + hops + 1) if forth else np.arange(s, s + hops, -1)
+        way = np.array([places[0], *polygon[between % n], places[1]])
+        expected = places[1]
+        if np.hypot(*(places[1] - places[0])) > radius:
+            for start, end in zip(way, way[1:], strict=False):
+                if found := crossings(places[0], radius, start, end):
+                    expected, moved = start + min(found) * (end - start), moved + 1
+                    break
+        i, w = slide(contact, s, t, anchor, at, radius, x, np.zeros_like(x))
+        got = polygon[i] + w * (polygon[(i + 1) % n] - polygon[i])
+        assert np.hypot(*(got - expected)) < 1e-13
+    assert moved > 15
+
+
+@pytest.mark.parametrize("bulge", [-2.0, -0.7, -0.1, 0.0, 0.1, 0.7, 2.0])
+def test_foot_normal_and_place_on_a_piece_agree_with_numpy(bulge):
+    """Points put at a known place of a line or arc, at a known distance to the left."""
+    rng = np.random.default_rng(3)
+    a, b = np.array([0.2, -0.1]), np.array([1.1, 0.4])
+    s, off = rng.uniform(0.02, 0.98, 400), rng.uniform(-0.05, 0.05, 400)
+    if bulge == 0.0:
+        d = b - a
+        foot, normal = a + s[:, None] * d, np.tile([-d[1], d[0]] / np.hypot(*d), (400, 1))
+    else:
+        centre = arc_centre(a, b, np.asarray(bulge))
+        angle = np.arctan2(*(a - centre)[::-1]) + s * 4.0 * np.arctan(bulge)
+        outwards = np.column_stack([np.cos(angle), np.sin(angle)])
+        foot, normal = centre + np.hypot(*(a - centre)) * outwards, -np.sign(bulge) * outwards
+    found = LevelSet.of_curve(chain(a, b, bulges=[bulge])).query(foot + off[:, None] * normal)
+    np.testing.assert_allclose(found.distance, off, atol=1e-13)
+    np.testing.assert_allclose(found.normal, normal, atol=1e-13)
+    np.testing.assert_allclose(found.point, foot, atol=1e-13)
+    np.testing.assert_allclose(found.s, s, atol=1e-13)
