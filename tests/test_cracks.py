@@ -93,7 +93,8 @@ def test_a_crack_opens_as_in_the_closed_form(tmp_path):
         assert len(x) == 2 * cells
         largest, by_square = errors(x, found)
         mean_square.append(by_square)
-    # Measured 5.4, 2.7, 1.3 %, largest 1.1 %: the square root at the tips leaves rate 1. The middle is right to 0.1 %.
+    # Measured 5.4, 2.7, 1.3 %, largest 1.1 %: the square root at the tips leaves rate 1.
+    # The middle is right to 0.1 %.
     assert rate(sizes, mean_square) > 0.9 and mean_square[-1] < 0.02 and largest < 0.02
     assert found[cells] == pytest.approx(sneddon(x[cells]), rel=0.005)
 

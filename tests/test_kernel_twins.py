@@ -5,14 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from test_contact import NOTCH, point_contact, star
-from test_explicit import grid, model_of
+from test_elements import twin_forces
+from test_explicit import grid, model_of, two_blocks
 from test_levelset import chain
 from test_self_contact import along_curve, folded
+from test_self_contact import twin as twin_contact
 
 from phantomnode.geometry.curves import arc_centre
 from phantomnode.geometry.levelset import LevelSet
 from phantomnode.solver.friction import slide
-from phantomnode.solver.leapfrog import initial_state, move
+from phantomnode.solver.leapfrog import (
+    DONE,
+    evaluate_contact,
+    evaluate_elements,
+    find_candidates,
+    initial_state,
+    move,
+)
 from phantomnode.solver.search import nearest_wall, prepare_search
 
 
@@ -57,6 +66,31 @@ def test_motion_agrees_with_numpy():
     for name, value in (old | expected).items():
         scale = np.abs(value).max(initial=1.0)
         np.testing.assert_allclose(getattr(state, name), value, atol=1e-13 * scale, rtol=0, err_msg=name)
+
+
+def test_forces_and_accelerations_of_a_step_agree_with_numpy():
+    """Two blocks that overlap: load, elements and contact add up; accelerations where free, peak of the pair."""
+    rng = np.random.default_rng(9)
+    model, velocity, above = two_blocks()
+    channel = np.full(velocity.shape, -1)
+    channel[:2, 1] = 0
+    load = rng.normal(size=velocity.shape)
+    model = model._replace(channel=channel, channels=1, load=load)
+    search = prepare_search(model.contact)
+    state = initial_state(model, velocity, search)
+    state.u[above] -= [0.0, 0.02]
+    state.u[:] += 1e-3 * rng.uniform(-1, 1, velocity.shape)
+    before = state.a.copy()
+    assert evaluate_elements(model, state) == DONE
+    evaluate_contact(model, state, find_candidates(model, state, search))
+    inner, contact = twin_forces(model.elements, state.u), twin_contact(model.contact, model.x + state.u)[0]
+    expected, scale = load + inner + contact, max(np.abs(inner).max(), np.abs(contact).max())
+    assert np.abs(contact).max() > 0.0
+    assert np.abs(state.force - expected).max() < 1e-13 * scale
+    np.testing.assert_allclose(
+        state.a, np.where(channel < 0, state.force / model.mass[:, None], before), rtol=1e-13
+    )
+    assert state.pair_peak[0] == pytest.approx(np.hypot(*contact[above].sum(axis=0)), abs=1e-13 * scale)
 
 
 @pytest.mark.parametrize("seed", range(10))
