@@ -11,7 +11,7 @@ from phantomnode.pipeline.boundaries import Boundary
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending, Sampled
-from phantomnode.pipeline.prepare import Floats, Prepared
+from phantomnode.pipeline.prepare import Body, Floats, Prepared
 
 if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
@@ -28,6 +28,8 @@ class History(Sampled):
     force that a boundary exerts (0 in a direction that it leaves free; of a load its resultant), ``body.NAME.ux``
     the displacement of the centre of mass; then the impulses ``contact.NAME.ix`` since the start, the energies
     dissipated so far, and of pairs with friction the part ``contact.NAME.tx`` of the force that is tangential.
+    Last, of each body the centre of mass ``cx, cy``, momentum ``px, py`` and angular momentum ``l`` about the
+    origin; then the smallest J, and the stable step of the deformed state (an estimate, nothing kept for safety).
 
     Parameters
     ----------
@@ -67,6 +69,9 @@ def columns(prepared: Prepared) -> list[str]:
         *(f"contact.{pair.name}.i{axis}" for pair in prepared.pairs for axis in "xy"),
         *DISSIPATED,
         *(f"contact.{pair.name}.t{axis}" for pair in prepared.pairs if pair.friction > 0.0 for axis in "xy"),
+        *(f"body.{body.name}.{value}" for body in prepared.bodies for value in ("cx", "cy", "px", "py", "l")),
+        "smallest_j",
+        "stable_step",
     ]
 
 
@@ -86,7 +91,17 @@ def row(prepared: Prepared, frame: Frame) -> list[float]:
     for pair in prepared.pairs:
         if pair.friction > 0.0:
             values.extend(tangential_force(prepared, pair, frame))
-    return values
+    for body in prepared.bodies:
+        values.extend(motion_of(prepared, body, frame))
+    return [*values, frame.smallest_j, prepared.stable_step(frame.u)]
+
+
+def motion_of(prepared: Prepared, body: Body, frame: Frame) -> tuple[float, ...]:
+    """Centre of mass, m, momentum, kg m/s, and angular momentum about the origin, kg m^2/s, of a body."""
+    nodes, mass = body.nodes, prepared.model.mass[body.nodes]
+    x, v = prepared.model.x[nodes] + frame.u[nodes], frame.v[nodes]
+    spin = float(mass @ (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]))
+    return (*centre(mass, x), *(mass @ v), spin)
 
 
 def tangential_force(prepared: Prepared, pair: Pair, frame: Frame) -> Floats:

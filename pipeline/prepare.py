@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from phantomnode.pipeline.scaling import heavy_bodies, largest_jump, scaled
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.step import run_step
 from phantomnode.pipeline.xfem import MassMatrix, classic_xfem
+from phantomnode.solver.current_step import StepMonitor
 from phantomnode.solver.mass_scaling import lumped_mass
 from phantomnode.solver.model import Model
 from phantomnode.solver.timestep import StepEstimate, stable_step
@@ -102,6 +104,23 @@ class Prepared:
     warnings: tuple[str, ...]
     xfem: MassMatrix | None = None
     rigids: tuple[Rigid, ...] = ()
+
+    @cached_property
+    def monitor(self) -> StepMonitor:
+        """The stable step at any displacement."""
+        return StepMonitor(self.model, largest_jump(self.case, self.motion))
+
+    @cached_property
+    def _start(self) -> float:
+        """The monitor's step of the undeformed state."""
+        return self.monitor.at(np.zeros_like(self.model.x))
+
+    def stable_step(self, u: Floats) -> float:
+        """The stable step at (n, 2) displacements, s, without the part that is kept for safety.
+
+        Undeformed it is that of the estimate, also for classic X-FEM with its other mass matrix.
+        """
+        return self.estimate.dt / self.case.time.safety * (self.monitor.at(u) / self._start)
 
 
 def prepare(case: Case) -> Prepared:

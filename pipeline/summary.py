@@ -131,6 +131,11 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
         "internal_energy_max": tally.internal_max,
         "alpha": {"elements": len(small_elements(prepared)), "energy_max": tally.alpha_energy_max},
         "smallest_J": tally.smallest_j,
+        "stable_step_min": tally.stable_step,
+        "peak_reaction": {
+            boundary.name: float(peak)
+            for boundary, peak in zip(prepared.boundaries, tally.peak_reaction, strict=True)
+        },
         "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
         "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},
         "contact_phases": {name: tally.phases(k) for k, name in pairs},

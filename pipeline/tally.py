@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.history import centre
+from phantomnode.pipeline.history import boundary_force, centre
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 
@@ -57,6 +57,8 @@ class Tally:
         self.alpha_energy_max = 0.0
         self.speed_max = 0.0
         self.smallest_j = np.inf
+        self.stable_step = np.inf
+        self.peak_reaction = np.zeros(len(prepared.boundaries))
         self.penetration = np.zeros(len(prepared.pairs))
         self._times: list[float] = []
         self._forces: list[Floats] = []
@@ -77,6 +79,10 @@ class Tally:
         self.alpha_energy_max = max(self.alpha_energy_max, alpha_energy(self._prepared, frame.u))
         self.speed_max = max(self.speed_max, float(np.max(np.hypot(*frame.v.T), initial=0.0)))
         self.smallest_j = min(self.smallest_j, frame.smallest_j)
+        self.stable_step = min(self.stable_step, self._prepared.stable_step(frame.u))
+        for k, boundary in enumerate(self._prepared.boundaries):
+            size = float(np.hypot(*boundary_force(boundary, frame)))
+            self.peak_reaction[k] = max(self.peak_reaction[k], size)
         for k, pair in enumerate(self._prepared.pairs):
             deepest = np.max(frame.gap[pair.points], initial=0.0)
             self.penetration[k] = max(self.penetration[k], deepest)

@@ -17,6 +17,13 @@ from phantomnode.solver.timestep import _strain_stiffness
 
 YOUNG, NU, RHO = 1e10, 0.3, 7800.0
 
+RING = {"ring": {"centre": [0.013, 0.007], "outer": 0.5, "inner": 0.25}}
+PLATE = {"polygon": {"points": [[0.0, 0.0], [0.91, 0.13], [0.8, 0.77], [-0.1, 0.6]]}}
+
+
+def cartesian(cell, **more):
+    return {"kind": "cartesian", "cell": cell, **more}
+
 
 def prepared_case(**tables):
     """A case of one material "m" (E = 10 GPa, nu = 0.3) from the tables beside it."""
@@ -27,6 +34,25 @@ def prepared_case(**tables):
 def one_body(geometry, grid, **tables):
     """A case of one body "part"."""
     return prepared_case(body={"part": {"geometry": geometry, "grid": grid, "material": "m"}}, **tables)
+
+
+def loaded_plate():
+    """A tilted plate with everything at once: follower, dead pressure, traction, gravity(t), weak and strong."""
+    return one_body(
+        PLATE,
+        cartesian(0.17),
+        gravity=["3e4*t/1e-3", -9.81],
+        boundary={
+            "push": {"on": "part.outer", "pressure": "2e8*sin(2000*t)**2"},
+            "dead": {"on": "part.outer", "pressure": "1e8*sin(1500*t)**2", "follower": False},
+            "pull": {"on": "part.outer", "traction": {"x": "3e7*(1 - cos(900*t))", "y": 0.0}},
+            "hold": {"on": "part.outer", "displacement": {"y": "1e-3*sin(700*t)**2"}, "penalty": {"times_E": 10.0}},
+            "grip": {
+                "on": {"body": "part", "box": [[-0.11, 0.2], [0.05, 0.7]]},
+                "velocity": {"x": "0.4*sin(2000*t)"},
+            },
+        },
+    )  # fmt: skip
 
 
 def forces(model, u, value=None, held=None):

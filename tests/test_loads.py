@@ -8,12 +8,16 @@ from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 from statics import (
     NU,
+    PLATE,
     RHO,
+    RING,
     YOUNG,
     Points,
+    cartesian,
     equilibrium,
     forces,
     linear_equilibrium,
+    loaded_plate,
     norm,
     one_body,
     rate,
@@ -21,149 +25,21 @@ from statics import (
 )
 
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.quadrature import surface_points
+from phantomnode.pipeline.history import columns, row
 from phantomnode.pipeline.run import march
 from phantomnode.pipeline.tally import Tally
 from phantomnode.solver.explicit import frames
-from phantomnode.solver.model import Loads
 from phantomnode.solver.stress import cut_stress, element_stress
 from phantomnode.solver.surface_loads import (
-    add_loads,
     add_support_forces,
-    load_power,
-    support_energy,
     support_stiffness,
 )
 from phantomnode.solver.timestep import stable_step
 
-RING = {"ring": {"centre": [0.013, 0.007], "outer": 0.5, "inner": 0.25}}
-PLATE = {"polygon": {"points": [[0.0, 0.0], [0.91, 0.13], [0.8, 0.77], [-0.1, 0.6]]}}
-
-
-def cartesian(cell, **more):
-    return {"kind": "cartesian", "cell": cell, **more}
-
 
 @pytest.fixture(scope="module")
 def loaded():
-    """A tilted plate with everything at once: follower, dead pressure, traction, gravity(t), weak and strong."""
-    return one_body(
-        PLATE,
-        cartesian(0.17),
-        gravity=["3e4*t/1e-3", -9.81],
-        boundary={
-            "push": {"on": "part.outer", "pressure": "2e8*sin(2000*t)**2"},
-            "dead": {"on": "part.outer", "pressure": "1e8*sin(1500*t)**2", "follower": False},
-            "pull": {"on": "part.outer", "traction": {"x": "3e7*(1 - cos(900*t))", "y": 0.0}},
-            "hold": {"on": "part.outer", "displacement": {"y": "1e-3*sin(700*t)**2"}, "penalty": {"times_E": 10.0}},
-            "grip": {
-                "on": {"body": "part", "box": [[-0.11, 0.2], [0.05, 0.7]]},
-                "velocity": {"x": "0.4*sin(2000*t)"},
-            },
-        },
-    )  # fmt: skip
-
-
-def random_field(model, size, seed=0):
-    return size * np.random.default_rng(seed).uniform(-1.0, 1.0, model.x.shape)
-
-
-# ---------------------------------------------------------------- kernels against NumPy twins and gradients
-
-
-def twin_of_loads(loads: Loads, value, x, u):
-    """Forces and resultants of all rows in NumPy."""
-    force, applied = np.zeros_like(x), np.zeros((loads.rows, 2))
-    f = loads.coefficient * value[loads.row]
-    np.add.at(force, (loads.node, loads.axis), f)
-    np.add.at(applied, (loads.row, loads.axis), f)
-    line = np.einsum("qi,qia->qa", loads.point_slope, (x + u)[loads.point_nodes])
-    at_points = value[loads.point_row][:, None] * np.column_stack([-line[:, 1], line[:, 0]])
-    np.add.at(force, loads.point_nodes, loads.point_shape[:, :, None] * at_points[:, None])
-    np.add.at(applied, loads.point_row, at_points)
-    return force, applied, at_points
-
-
-def test_load_kernels_agree_with_numpy(loaded):
-    model = loaded.model
-    loads, u, v = model.loads, random_field(model, 0.05), random_field(model, 3.0, 1)
-    value = np.random.default_rng(2).uniform(-1e8, 1e8, loads.rows)
-    force, applied = np.ones_like(u), np.full((loads.rows, 2), 7.0)
-    at_points = np.full((len(loads.point_row), 2), 7.0)
-    add_loads(loads, value, model.x, u, force, applied, at_points)
-    expected = twin_of_loads(loads, value, model.x, u)
-    scale = np.abs(expected[0]).max()
-    np.testing.assert_allclose(force - 1.0, expected[0], atol=1e-13 * scale)
-    np.testing.assert_allclose(applied, expected[1], atol=1e-13 * np.abs(applied).max())
-    np.testing.assert_allclose(at_points, expected[2], atol=1e-13 * np.abs(at_points).max())
-    power = np.sum(expected[0] * v)
-    assert load_power(loads, value, at_points, v) == pytest.approx(power, abs=1e-13 * scale * v.size * 3)
-
-
-def test_support_kernel_is_the_gradient_of_its_energy_and_agrees_with_numpy(loaded):
-    supports, u = loaded.model.supports, random_field(loaded.model, 1e-3)
-    held = np.random.default_rng(5).uniform(-1e-3, 1e-3, loaded.model.channels)
-    force, reaction = np.zeros_like(u), np.full(loaded.model.channels, 7.0)
-    add_support_forces(supports, held, u, force, reaction)
-    on = supports.channel >= 0
-    assert on[:, 1].all() and not on[:, 0].any()
-    here = np.einsum("pi,pi->p", supports.shape, u[supports.nodes][:, :, 1])
-    pull = -supports.stiffness * (here - held[supports.channel[:, 1]])
-    expected = np.zeros_like(u)
-    np.add.at(expected[:, 1], supports.nodes, supports.shape * pull[:, None])
-    np.testing.assert_allclose(force, expected, atol=1e-13 * np.abs(expected).max())
-    assert reaction[supports.channel[0, 1]] == pytest.approx(pull.sum(), rel=1e-12)
-    direction = random_field(loaded.model, 1e-3, 3)
-    change = [support_energy(supports, held, u + s * direction) for s in (-1.0, 1.0)]  # quadratic: exact
-    assert (change[1] - change[0]) / 2.0 == pytest.approx(-np.sum(force * direction), rel=1e-11)
-
-
-def test_a_follower_pressure_on_a_closed_curve_is_the_gradient_of_the_area_and_has_no_resultant():
-    model = one_body(RING, cartesian(0.13), boundary={"p": {"on": "part.outer", "pressure": 1.0}}).model
-    loads, pressure = model.loads, 3e6
-
-    def enclosed(u):
-        here = (model.x + u)[loads.point_nodes]
-        point = np.einsum("qi,qia->qa", loads.point_shape, here)
-        line = np.einsum("qi,qia->qa", loads.point_slope, here)
-        return 0.5 * np.sum(point[:, 0] * line[:, 1] - point[:, 1] * line[:, 0])
-
-    assert enclosed(0.0 * model.x) == pytest.approx(np.pi * 0.25, rel=0.02)
-    u, direction = random_field(model, 0.02), random_field(model, 1.0, 4)
-    force, applied = np.zeros_like(u), np.zeros((1, 2))
-    add_loads(loads, np.array([pressure]), model.x, u, force, applied, np.zeros((len(loads.point_row), 2)))
-    size = np.abs(force).sum()
-    assert np.abs(applied).max() < 1e-13 * size
-    here = model.x + u
-    assert abs(np.sum(here[:, 0] * force[:, 1] - here[:, 1] * force[:, 0])) < 1e-13 * size
-    change = enclosed(u + 1e-3 * direction) - enclosed(u - 1e-3 * direction)  # quadratic: exact
-    assert np.sum(force * direction) == pytest.approx(-pressure * change / 2e-3, rel=1e-10)
-
-
-def test_surface_points_measure_lengths_and_reproduce_places(loaded):
-    body = loaded.bodies[0]
-    chosen = np.arange(len(body.mesh.segments.ends))
-    points = surface_points(body, chosen)
-    ends = body.mesh.segments.ends
-    assert points.length.sum() == pytest.approx(body.regions[0].outer.lengths.sum(), rel=1e-6)  # lattice
-    np.testing.assert_allclose(points.shape.sum(axis=1), 1.0, atol=1e-14)
-    line = np.einsum("qi,qia->qa", points.slope, body.mesh.xy[points.nodes])
-    np.testing.assert_allclose(line, np.repeat(0.5 * (ends[:, 1] - ends[:, 0]), 2, axis=0), atol=1e-14)
-    place = np.einsum("qi,qia->qa", points.shape, body.mesh.xy[points.nodes]).reshape(-1, 2, 2).mean(axis=1)
-    np.testing.assert_allclose(place, ends.mean(axis=1), atol=1e-14)
-
-
-def test_dead_and_follower_pressure_agree_on_the_undeformed_body():
-    tables = {"p": {"on": "part.outer", "pressure": 1.0}}
-    follower = one_body(PLATE, cartesian(0.17), boundary=tables).model
-    tables["p"]["follower"] = False
-    dead = one_body(PLATE, cartesian(0.17), boundary=tables).model
-    zero = np.zeros_like(dead.x)
-    one, other = forces(follower, zero, [1e6]), forces(dead, zero, [1e6])
-    np.testing.assert_allclose(one, other, atol=1e-10 * np.abs(one).max())
-    moved = random_field(dead, 0.02)
-    with_load, without = forces(dead, moved, [1e6]), forces(dead, moved, [0.0])
-    np.testing.assert_allclose(with_load - without, other, atol=1e-6 * np.abs(other).max())  # dead: as before
+    return loaded_plate()
 
 
 def test_classic_xfem_takes_no_loads():
@@ -378,3 +254,25 @@ def test_the_ring_breathes_to_the_closed_form():
     exact = lame_ring(points.x, 1e6)[0]
     error = norm(points.displacement(tally.last.u) - exact, points.weight) / norm(exact, points.weight)
     assert error < 0.01 and tally.energy_error_max < 1e-4
+
+
+def test_history_tells_centre_momentum_and_spin_of_a_disc():
+    """Thrown and turning: momentum is that of its mass, the centre flies straight, the spin stays."""
+    case = one_body({"circle": {"centre": [0.2, 0.1], "radius": 0.3}}, cartesian(0.1))
+    spin, mass = 40.0, case.model.mass
+    arm = case.model.x - mass @ case.model.x / mass.sum()
+    case.velocity[:] = [5.0, -3.0] + spin * np.column_stack([-arm[:, 1], arm[:, 0]])
+    names = columns(case)
+    for frame in run(case, case.dt, [0, 200]):
+        found = dict(zip(names, row(case, frame), strict=True))
+        assert found["body.part.px"] == pytest.approx(5.0 * mass.sum(), rel=1e-10)
+        assert found["body.part.py"] == pytest.approx(-3.0 * mass.sum(), rel=1e-10)
+        centre = mass @ case.model.x / mass.sum() + np.array([5.0, -3.0]) * frame.time
+        assert [found["body.part.cx"], found["body.part.cy"]] == pytest.approx(centre, rel=1e-10)
+        inertia = mass @ np.sum(arm**2, axis=1)
+        moment = inertia * spin + mass.sum() * (centre[0] * -3.0 - centre[1] * 5.0)
+        # Velocities are those at the displacement to second order: spin is kept to dt^2 between the two.
+        assert found["body.part.l"] == pytest.approx(moment, rel=1e-4)
+        assert found["smallest_j"] == pytest.approx(1.0, abs=0.05)
+        assert found["stable_step"] == pytest.approx(case.estimate.dt / 0.85, rel=0.05)
+    assert names[-2:] == ["smallest_j", "stable_step"]

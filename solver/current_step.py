@@ -1,0 +1,209 @@
+"""The stable step of the deformed state, cheap enough for every sample of a run.
+
+The largest eigenvalue of each element, known for the undeformed state (timestep.py), is taken to grow with that of
+its stiffest integration point: of A(F) : (. G), with the tangent A = dP/dF and the metric G of the gradients,
+the sum of g_I g_I^T. In the principal axes of F the tangent of an isotropic law is known in closed form,
+
+    A_iijj = (dtau_i/dln l_j - tau_i d_ij)/(l_i l_j),  A_ijij = (tau_i - tau_j)/(l_i^2 - l_j^2),
+    A_ijji = (l_j^2 tau_i - l_i^2 tau_j)/(l_i l_j (l_i^2 - l_j^2)),
+
+the geometric stiffness included (R. W. Ogden, Non-Linear Elastic Deformations, 1984, section 6.1.4). Exact for one
+square element in homogeneous deformation; for others an estimate to look at, not a guard. Penalty springs count as
+all closed, viscosity as at the start.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from phantomnode.solver.model import CutElements, Model
+from phantomnode.solver.q4 import displacement_gradient
+from phantomnode.solver.timestep import contact_by_element, element_rates
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+ITERATIONS = 12
+"""Steps of the power method on four numbers: Rayleigh's quotient is then right to 1 % even in long cells."""
+
+EQUAL_STRETCHES = 1e-6
+"""Squares of the stretches that differ by less, relatively, are equal: their quotient would lose its digits."""
+
+
+class PointStiffness(NamedTuple):
+    """Integration points with what their stiffness was at the start.
+
+    nodes (e, 4); first (e + 1,); gradient (p, 4, 2), 1/m; lame (e,), shear (e,), Pa; metric (p, 3) G11, G22, G12,
+    1/m^2; start (p,) largest eigenvalue undeformed, Pa/m^2; widest (p,) the bound 2 (lambda + mu) |G| on it,
+    over it; frequency2 (e,) and contact2 (e,) of the elements and of the penalty springs at them, 1/s^2;
+    viscosity (e,), 1/s.
+    """
+
+    nodes: Ints
+    first: Ints
+    gradient: Floats
+    lame: Floats
+    shear: Floats
+    metric: Floats
+    start: Floats
+    widest: Floats
+    frequency2: Floats
+    contact2: Floats
+    viscosity: Floats
+
+
+class StepMonitor:
+    """The stable step at any displacement.
+
+    Parameters
+    ----------
+    model : Model
+    speed : float, m/s
+        As for :func:`phantomnode.solver.timestep.stable_step`.
+    """
+
+    def __init__(self, model: Model, speed: float = 0.0) -> None:
+        frequency2, viscosity = element_rates(model, speed)
+        rates = frequency2, contact_by_element(model), viscosity
+        e, m = model.elements, len(model.elements.volume)
+        if len(model.full.weight):
+            uncut = model.full
+        else:
+            first = np.arange(m + 1)
+            uncut = CutElements(e.nodes, first, e.gradient, e.volume, e.lame, e.shear, e.mass)
+        self._lists = [
+            _points(uncut, *(rate[:m] for rate in rates)),
+            _points(model.cut_elements, *(rate[m:] for rate in rates)),
+        ]
+        self._last: tuple[Floats, float] | None = None
+
+    def at(self, u: Floats) -> float:
+        """The stable step at (n, 2) displacements, s; without a part that is kept for safety.
+
+        Several who ask for one and the same array, which must not change in between, wait for it once.
+        """
+        if self._last is not None and self._last[0] is u:
+            return self._last[1]
+        fastest = 0.0
+        for points in self._lists:
+            fastest = fastest_rate(points, np.ascontiguousarray(u), fastest)
+        self._last = u, 1.0 / fastest if fastest > 0.0 else math.inf
+        return self._last[1]
+
+
+def _points(lists: CutElements, frequency2: Floats, contact2: Floats, viscosity: Floats) -> PointStiffness:
+    """The points of a list of elements."""
+    owner = np.repeat(np.arange(len(lists.lame)), np.diff(lists.first))
+    g = np.einsum("pia,pib->pab", lists.gradient, lists.gradient)
+    metric = np.ascontiguousarray(np.column_stack([g[:, 0, 0], g[:, 1, 1], g[:, 0, 1]]))
+    moduli = lists.lame[owner], lists.shear[owner]
+    start = np.array(
+        [tangent_eigenvalue(0.0, 0.0, 0.0, 0.0, *of, *row) for *of, row in zip(*moduli, metric, strict=True)]
+    )
+    longest = 0.5 * (metric[:, 0] + metric[:, 1]) + np.hypot(
+        0.5 * (metric[:, 0] - metric[:, 1]), metric[:, 2]
+    )
+    bound = 2.0 * (moduli[0] + moduli[1]) * longest
+    return PointStiffness(
+        lists.nodes, lists.first, lists.gradient, lists.lame, lists.shear, metric, start, bound / start,
+        np.ascontiguousarray(frequency2), np.ascontiguousarray(contact2), np.ascontiguousarray(viscosity),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_rate(points: PointStiffness, u: Floats, fastest: float) -> float:
+    """The largest 1/dt of these elements and of what was found before, 1/s; infinite where J <= 0."""
+    for e in range(len(points.lame)):
+        for p in range(points.first[e], points.first[e + 1]):
+            h11, h12, h21, h22 = displacement_gradient(points.nodes[e], points.gradient[p], u)
+            growth = points.widest[p] * largest_growth(h11, h12, h21, h22)
+            if step_rate(growth * points.frequency2[e] + points.contact2[e], points.viscosity[e]) <= fastest:
+                continue  # most points: what follows costs ten times as much
+            g11, g22, g12 = points.metric[p, 0], points.metric[p, 1], points.metric[p, 2]
+            lame, shear = points.lame[e], points.shear[e]
+            growth = tangent_eigenvalue(h11, h12, h21, h22, lame, shear, g11, g22, g12) / points.start[p]
+            rate = step_rate(growth * points.frequency2[e] + points.contact2[e], points.viscosity[e])
+            fastest = max(fastest, rate)
+    return fastest
+
+
+@njit(cache=True, error_model="numpy")
+def step_rate(frequency2: float, viscosity: float) -> float:
+    """1/dt of the step at which dt^2 w^2/4 + dt c/2 = 1, 1/s."""
+    return 0.25 * (viscosity + math.sqrt(viscosity * viscosity + 4.0 * frequency2))
+
+
+@njit(cache=True, error_model="numpy")
+def largest_growth(h11: float, h12: float, h21: float, h22: float) -> float:
+    """Bound on the largest eigenvalue of A over 2 (lambda + mu), from the smaller stretch l alone.
+
+    By row sums, with -tau_i <= -2 (lambda + mu) ln l and J >= l^2: (1 - ln l)/l^2 <= 1/l^3 below 1; beyond,
+    where a tension of ln J/J counts in A_ijji, (1 + 2 ln l)/l^2.
+    """
+    c11 = (1.0 + h11) * (1.0 + h11) + h21 * h21
+    c22 = (1.0 + h22) * (1.0 + h22) + h12 * h12
+    c12 = (1.0 + h11) * h12 + h21 * (1.0 + h22)
+    j = (1.0 + h11) * (1.0 + h22) - h12 * h21
+    if not j > 0.0:
+        return math.inf
+    larger = 0.5 * (c11 + c22) + math.sqrt(0.25 * (c11 - c22) * (c11 - c22) + c12 * c12)
+    smaller = j * j / larger
+    return 1.0 / (smaller * math.sqrt(smaller)) if smaller < 1.0 else (1.0 + math.log(smaller)) / smaller
+
+
+@njit(cache=True, error_model="numpy")
+def principal_tangent(
+    larger: float, smaller: float, j: float, lame: float, shear: float
+) -> tuple[float, float, float, float, float]:
+    """A1111, A2222, A1122, A1212 = A2121 and A1221 of the Hencky law from the squares of the stretches and J, Pa."""
+    log_j = math.log(j)
+    tau1 = lame * log_j + shear * math.log(larger)
+    tau2 = lame * log_j + shear * math.log(smaller)
+    a11, a22 = (lame + 2.0 * shear - tau1) / larger, (lame + 2.0 * shear - tau2) / smaller
+    a12, difference = lame / j, larger - smaller
+    if difference > EQUAL_STRETCHES * larger:
+        return a11, a22, a12, (tau1 - tau2) / difference, (smaller * tau1 - larger * tau2) / (j * difference)
+    return a11, a22, a12, 0.5 * (a11 - a12 + tau1 / larger), 0.5 * (a11 - a12 - tau1 / larger)
+
+
+@njit(cache=True, error_model="numpy")
+def tangent_eigenvalue(
+    h11: float, h12: float, h21: float, h22: float,
+    lame: float, shear: float, g11: float, g22: float, g12: float,
+) -> float:  # fmt: skip
+    """Largest eigenvalue of X -> A : (X G), Pa/m^2, at H = F - I; infinite where J <= 0.
+
+    By the power method; Rayleigh's quotient is that of the product X . (Y G), in which the map is symmetric.
+    """
+    c11 = (1.0 + h11) * (1.0 + h11) + h21 * h21
+    c22 = (1.0 + h22) * (1.0 + h22) + h12 * h12
+    c12 = (1.0 + h11) * h12 + h21 * (1.0 + h22)
+    j = (1.0 + h11) * (1.0 + h22) - h12 * h21
+    if not j > 0.0:
+        return math.inf
+    half = 0.5 * (c11 - c22)
+    radius = math.sqrt(half * half + c12 * c12)
+    larger = 0.5 * (c11 + c22) + radius
+    a11, a22, a12, same, cross = principal_tangent(larger, j * j / larger, j, lame, shear)
+    # G in the principal axes of C, turned by half the angle of (half, c12).
+    cos2, sin2 = (half / radius, c12 / radius) if radius > 0.0 else (1.0, 0.0)
+    middle, split = 0.5 * (g11 + g22), 0.5 * (g11 - g22)
+    along, g3 = split * cos2 + g12 * sin2, g12 * cos2 - split * sin2
+    g1, g2 = middle + along, middle - along
+    x11, x22, x12, x21, value = 1.0, 0.8, 0.4, 0.3, 0.0
+    for _ in range(ITERATIONS):
+        t11, t12 = x11 * g1 + x12 * g3, x11 * g3 + x12 * g2
+        t21, t22 = x21 * g1 + x22 * g3, x21 * g3 + x22 * g2
+        p11, p22 = a11 * t11 + a12 * t22, a12 * t11 + a22 * t22
+        p12, p21 = same * t12 + cross * t21, cross * t12 + same * t21
+        value = (t11 * p11 + t22 * p22 + t12 * p12 + t21 * p21) / (
+            t11 * x11 + t22 * x22 + t12 * x12 + t21 * x21
+        )
+        size = math.sqrt(p11 * p11 + p22 * p22 + p12 * p12 + p21 * p21)
+        x11, x22, x12, x21 = p11 / size, p22 / size, p12 / size, p21 / size
+    return value
