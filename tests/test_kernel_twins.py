@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_contact import NOTCH, point_contact, star
+from test_contact import NOTCH, SQUARE, point_contact, star
+from test_damping_kernels import damped, distorted
 from test_elements import twin_forces
 from test_explicit import grid, model_of, two_blocks
 from test_levelset import chain
@@ -13,7 +14,9 @@ from test_self_contact import twin as twin_contact
 
 from phantomnode.geometry.curves import arc_centre
 from phantomnode.geometry.levelset import LevelSet
-from phantomnode.solver.friction import slide
+from phantomnode.solver.contact import reported
+from phantomnode.solver.damping import add_bulk_viscosity, add_hourglass_viscosity, add_viscous_forces
+from phantomnode.solver.friction import let_go, slide
 from phantomnode.solver.leapfrog import (
     DONE,
     evaluate_contact,
@@ -22,7 +25,7 @@ from phantomnode.solver.leapfrog import (
     initial_state,
     move,
 )
-from phantomnode.solver.search import nearest_wall, prepare_search
+from phantomnode.solver.search import build_candidates, nearest_wall, prepare_search
 
 
 def test_motion_agrees_with_numpy():
@@ -163,3 +166,44 @@ def test_foot_normal_and_place_on_a_piece_agree_with_numpy(bulge):
     np.testing.assert_allclose(found.normal, normal, atol=1e-13)
     np.testing.assert_allclose(found.point, foot, atol=1e-13)
     np.testing.assert_allclose(found.s, s, atol=1e-13)
+
+
+def test_viscous_forces_are_the_sum_of_both_viscosities():
+    """Each has a NumPy twin of its own; here they add up, in the force and in what damping books."""
+    model, u, v = distorted()
+    model = damped(model, linear=0.06, quadratic=1.2, hourglass=0.05)
+    state = initial_state(model, v, prepare_search(model.contact))
+    state.u[:], state.force[:] = u, np.ones_like(u)
+    expected = np.zeros_like(u)
+    add_bulk_viscosity(model.damping.bulk, u, v, expected)
+    add_hourglass_viscosity(model.elements, model.damping.hourglass, v, expected)
+    add_viscous_forces(model, state)
+    scale = np.abs(expected).max()
+    assert scale > 0.0
+    np.testing.assert_allclose(state.viscous, expected, atol=1e-13 * scale, rtol=0)
+    np.testing.assert_allclose(state.force, 1.0 + expected, atol=1e-13 * scale, rtol=0)
+
+
+def test_points_without_candidates_let_go_of_their_anchors():
+    """Those that are near keep theirs; what stands behind the last pair in the list is not looked at."""
+    contact, x = point_contact([[0.5, 0.98], [0.5, 9.0], [0.4, 0.99], [0.3, 9.0]], SQUARE, 0.1)
+    state = initial_state(model_of(*grid(1, 1, 1.0)), np.zeros((4, 2)), prepare_search(contact_of_none()))
+    state = state._replace(anchor=np.array([3, 2, 1, 0]), tangential=np.ones((4, 2)))
+    candidates = build_candidates(contact, prepare_search(contact), x, np.zeros_like(x))
+    let_go(candidates, state)
+    near = np.isin(np.arange(4), candidates.near[: candidates.near_first[-1]])
+    assert near.tolist() == [True, False, True, False]
+    assert state.anchor.tolist() == np.where(near, [3, 2, 1, 0], -1).tolist()
+    assert np.array_equal(state.tangential, np.where(near[:, None], np.ones((4, 2)), 0.0))
+
+
+def contact_of_none():
+    return model_of(*grid(1, 1, 1.0)).contact
+
+
+def test_second_passes_are_reported_with_their_first():
+    """Pairs 0 and 1 are the two passes of one pair, 2 stands alone; without two passes each is its own."""
+    contact = contact_of_none()
+    assert [reported(contact, k) for k in range(3)] == [(0, 1.0), (1, 1.0), (2, 1.0)]
+    contact = contact._replace(pair=np.array([0, 0, 1]))
+    assert [reported(contact, k) for k in range(3)] == [(0, 1.0), (0, -1.0), (1, 1.0)]
