@@ -124,7 +124,7 @@ def test_a_slow_damped_run_reaches_the_closed_form(option, tmp_path):
     assert summary.figures["energies"]["damping"] > 0.0
     with (tmp_path / "out" / "history.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0])[-2:] == ["friction", "damping"]
+    assert {"friction", "damping"} <= set(rows[0])
     assert float(rows[-1]["damping"]) == summary.figures["energies"]["damping"]
     assert float(rows[-1]["friction"]) == 0.0
     # The reaction over the current height: stress * 0.31 * 0.8404896.
