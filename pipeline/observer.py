@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
@@ -37,7 +38,7 @@ class Observer(Protocol):
         """Look at the last state, however the run ended; called exactly once."""
 
 
-class Sampled:
+class Sampled(ABC):
     """Observers that take each due frame once, the last one of the run included."""
 
     def __init__(self, steps: frozenset[int]) -> None:
@@ -59,9 +60,9 @@ class Sampled:
         if ending.frame is not None:
             self.frame(ending.frame)
 
+    @abstractmethod
     def take(self, frame: Frame) -> None:
         """What the observer does with a frame."""
-        raise NotImplementedError
 
 
 def sample_steps(steps: int, count: int) -> frozenset[int]:
