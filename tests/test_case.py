@@ -435,6 +435,19 @@ def test_the_ring_impact_is_the_papers() -> None:
     )
 
 
+def test_the_wavy_block_is_the_papers() -> None:
+    """Section 4.3: geometry, material, penalty of 100 E, a drag of 1 m in 0.2 s, its finest mesh and its step."""
+    case = load_case("wavy_block")
+    box, material = case.body["block"].geometry.rectangle, case.material["soft"]
+    assert box is not None and (box.low, box.high) == ((0.0, 0.0), (2.0, 1.0))
+    assert case.interface["wave"].geometry.function == "0.5 + 0.05*sin(5*pi*x/2)"
+    assert (material.E, material.nu, material.rho) == (10e9, 0.3, 7800.0)
+    penalty, grid = case.contact["sliding"].penalty, case.grid_of("block")
+    assert not isinstance(penalty, str) and penalty.times_E == 100.0
+    assert isinstance(grid, CartesianGrid) and grid.counts == (100, 50)
+    assert (case.time.end, case.time.step) == (0.2, 1e-6)
+
+
 def test_the_json_schema_describes_every_key_and_has_no_dangling_reference() -> None:
     schema = json_schema()
     text = json.dumps(schema)
