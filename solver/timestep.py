@@ -225,13 +225,14 @@ def contact_rates(model: Model) -> Floats:
 
 
 def _spring_stiffness(contact: Contact) -> Floats:
-    """(k,) Stiffness of the springs of each pair over any direction, Pa/m.
+    """(k,) Stiffness of the springs of each pair over any direction and in any state of friction, Pa/m.
 
     The normal and the tangential spring of a point act across each other, so that the stiffer one bounds both
-    as long as it sticks. Where it slips, the friction mu eps g follows the gap: the norm of that matrix, with the
-    rows (eps, 0) and (mu eps, 0), is eps sqrt(1 + mu^2).
+    as long as it sticks. Where it slips, the friction mu eps g follows the gap along n, and the tangent
+    eps (n n^T + mu t n^T) is not symmetric. No eigenvalue of the whole is larger, in absolute value, than the
+    largest |x* K x| of unit mass, to which that tangent gives its numerical radius, eps (1 + sqrt(1 + mu^2))/2.
     """
     if len(contact.friction) == 0:
         return contact.penalty
     tangential = np.where(contact.friction > 0.0, contact.tangential_penalty, 0.0)
-    return np.maximum(contact.penalty * np.sqrt(1.0 + contact.friction**2), tangential)
+    return np.maximum(0.5 * contact.penalty * (1.0 + np.sqrt(1.0 + contact.friction**2)), tangential)
