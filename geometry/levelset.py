@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from phantomnode.geometry.curves import Curve, Region, arc_centre
 from phantomnode.geometry.errors import GeometryError
+from phantomnode.kernels import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -205,7 +205,7 @@ def _box_tree(low: Floats, high: Floats, bulge: Floats, chord: Floats) -> Floats
     return boxes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, Ints, Floats]:
     """Closest feature of every point; a neighbour's answer is the first guess of the next."""
     n = len(xy)
@@ -225,7 +225,7 @@ def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, I
     return distance, normal, point, curve, piece, s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _nearest(pieces: _Pieces, x: float, y: float, guess: int, stack: Ints) -> tuple[int, int, float]:
     """Closest piece, its closest vertex (0 start, 1 end, -1 inside the piece), unsigned distance.
 
@@ -256,7 +256,7 @@ def _nearest(pieces: _Pieces, x: float, y: float, guess: int, stack: Ints) -> tu
     return best, vertex, far
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _box_distance(boxes: Floats, i: int, x: float, y: float) -> float:
     """Distance of a point from a box of the tree, infinite for an empty one."""
     dx = max(boxes[i, 0] - x, x - boxes[i, 2], 0.0)
@@ -264,7 +264,7 @@ def _box_distance(boxes: Floats, i: int, x: float, y: float) -> float:
     return np.sqrt(dx * dx + dy * dy)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _measure(pieces: _Pieces, k: int, x: float, y: float) -> tuple[float, int, float]:
     """Unsigned distance to piece k, closest vertex (-1: inside the piece), turn at that vertex."""
     ax, ay = x - pieces.start[k, 0], y - pieces.start[k, 1]
@@ -281,7 +281,7 @@ def _measure(pieces: _Pieces, k: int, x: float, y: float) -> tuple[float, int, f
     return db, 1, pieces.vertex_turn[k, 1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _side(pieces: _Pieces, k: int, x: float, y: float) -> float:
     """Signed distance to the whole line or circle of piece k, positive to the left.
 
@@ -298,7 +298,7 @@ def _side(pieces: _Pieces, k: int, x: float, y: float) -> float:
     return 2.0 * g / (1.0 + np.sqrt(cx * cx + cy * cy) / pieces.radius[k])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _foot(
     pieces: _Pieces, k: int, vertex: int, far: float, x: float, y: float
 ) -> tuple[float, float, float, float, float]:
@@ -326,7 +326,7 @@ def _foot(
     return x - phi * nx, y - phi * ny, nx, ny, phi
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _fraction(pieces: _Pieces, k: int, vertex: int, px: float, py: float) -> float:
     """Fraction along piece k of a point on it: tan(s angle/2) = ra sin / (rb + ra cos)."""
     if vertex >= 0:

@@ -9,9 +9,9 @@ on one core: the law alone 530 million points a second, elements with gather and
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.hencky import SERIES_LIMIT, atanh_series, first_piola, pull_back, strain_measures
 
 Floats = NDArray[np.float64]
@@ -30,7 +30,7 @@ ROOM = 15 * BLOCK
 z^2 of the law, hourglass forces."""
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def gather(
     block: Floats, k: int, nodes: Ints, gradient: Floats, lame: float, shear: float, u: Floats
 ) -> None:
@@ -45,7 +45,7 @@ def gather(
     block[LAME + k], block[SHEAR + k] = lame, shear
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stress_block(block: Floats, count: int) -> None:
     """P times the weight at the first ``count`` points, by the series."""
     for k in range(count):
@@ -59,7 +59,7 @@ def stress_block(block: Floats, count: int) -> None:
         block[J + k], block[Y + k], block[Z2 + k] = j, y, z * z
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def stress_of(block: Floats, k: int) -> tuple[float, float, float, float]:
     """P times the weight at point k, beyond the limit of the series by the full law."""
     if block[Y + k] <= SERIES_LIMIT and block[Z2 + k] <= SERIES_LIMIT:

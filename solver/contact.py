@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.model import Contact
 from phantomnode.solver.search import Candidates, closest, position
 
@@ -27,7 +27,7 @@ OPEN = -1e300
 """The gap of a slave point that touches nothing."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def reported(contact: Contact, k: int) -> tuple[int, float]:
     """The number under which pair k is reported, and the sign of its forces there: -1 in a second pass."""
     if len(contact.pair) == 0:
@@ -36,7 +36,7 @@ def reported(contact: Contact, k: int) -> tuple[int, float]:
     return contact.pair[k], -1.0 if second else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def outward_normal(ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
     """Unit normal on the right of the segment a-b; (0, 0) where it has no length."""
     dx, dy = bx - ax, by - ay
@@ -44,7 +44,7 @@ def outward_normal(ax: float, ay: float, bx: float, by: float) -> tuple[float, f
     return (dy / length, -dx / length) if length > 0.0 else (0.0, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def segment_normal(contact: Contact, s: int, x: Floats, u: Floats) -> tuple[float, float]:
     """Current outward unit normal of master segment s."""
     ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
@@ -52,7 +52,7 @@ def segment_normal(contact: Contact, s: int, x: Floats, u: Floats) -> tuple[floa
     return outward_normal(ax, ay, bx, by)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def nearest_segment(
     contact: Contact, segments: Ints, first: int, last: int, px: float, py: float, x: Floats, u: Floats
 ) -> tuple[float, int, float]:
@@ -71,7 +71,7 @@ def nearest_segment(
     return best, nearest, t_best
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def depth_at(
     contact: Contact, s: int, t: float, px: float, py: float, x: Floats, u: Floats
 ) -> tuple[float, float, float, float]:
@@ -108,7 +108,7 @@ def depth_at(
     return (ax - px) * nx + (ay - py) * ny, nx, ny, free
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def recess(contact: Contact, k: int, g: int, s: int, t: float) -> tuple[float, float]:
     """How far a point's own curve recedes before it, m, at the place t of segment s, and its slope there, m.
 
@@ -131,7 +131,7 @@ def recess(contact: Contact, k: int, g: int, s: int, t: float) -> tuple[float, f
     return (back, -steep * sign * 2.0 * half) if back > 0.0 else (0.0, 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_recess_forces(
     contact: Contact, g: int, s: int, pull: float, px: float, py: float, x: Floats, u: Floats, force: Floats
 ) -> tuple[float, float]:
@@ -154,7 +154,7 @@ def add_recess_forces(
     return fx, fy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_contact_forces(
     contact: Contact,
     candidates: Candidates,

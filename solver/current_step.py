@@ -18,9 +18,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.model import CutElements, Model
 from phantomnode.solver.q4 import displacement_gradient
 from phantomnode.solver.timestep import contact_by_element, element_rates
@@ -115,7 +115,7 @@ def _points(lists: CutElements, frequency2: Floats, contact2: Floats, viscosity:
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fastest_rate(points: PointStiffness, u: Floats, fastest: float) -> float:
     """The largest 1/dt of these elements and of what was found before, 1/s; infinite where J <= 0."""
     for e in range(len(points.lame)):
@@ -132,13 +132,13 @@ def fastest_rate(points: PointStiffness, u: Floats, fastest: float) -> float:
     return fastest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def step_rate(frequency2: float, viscosity: float) -> float:
     """1/dt of the step at which dt^2 w^2/4 + dt c/2 = 1, 1/s."""
     return 0.25 * (viscosity + math.sqrt(viscosity * viscosity + 4.0 * frequency2))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def largest_growth(h11: float, h12: float, h21: float, h22: float) -> float:
     """Bound on the largest eigenvalue of A over 2 (lambda + mu), from the smaller stretch l alone.
 
@@ -156,7 +156,7 @@ def largest_growth(h11: float, h12: float, h21: float, h22: float) -> float:
     return 1.0 / (smaller * math.sqrt(smaller)) if smaller < 1.0 else (1.0 + math.log(smaller)) / smaller
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def principal_tangent(
     larger: float, smaller: float, j: float, lame: float, shear: float
 ) -> tuple[float, float, float, float, float]:
@@ -171,7 +171,7 @@ def principal_tangent(
     return a11, a22, a12, 0.5 * (a11 - a12 + tau1 / larger), 0.5 * (a11 - a12 - tau1 / larger)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def tangent_eigenvalue(
     h11: float, h12: float, h21: float, h22: float,
     lame: float, shear: float, g11: float, g22: float, g12: float,

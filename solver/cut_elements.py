@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.block import BLOCK, ROOM, J, gather, stress_block, stress_of
 from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.model import CutElements
@@ -69,7 +69,7 @@ def fragment_elements(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def owner(first: Ints, point: int, before: int) -> int:
     """The element of an integration point, at or after the element ``before``."""
     while point >= first[before + 1]:
@@ -77,7 +77,7 @@ def owner(first: Ints, point: int, before: int) -> int:
     return before
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
     """Add the internal forces of the cut elements to (n, 2) force, N/m; return the smallest J or NaN."""
     smallest, lost = math.inf, False
@@ -103,7 +103,7 @@ def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
     return math.nan if lost else smallest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cut_energy(cut: CutElements, u: Floats) -> float:
     """Internal energy of the cut elements, J/m."""
     internal = 0.0

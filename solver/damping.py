@@ -15,9 +15,9 @@ Appl. Phys. 21 (1950) 232-237; Flanagan and Belytschko (see q4.py).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.model import BulkViscosity, CutElements, Damping, Elements, Model, State
 from phantomnode.solver.q4 import displacement_gradient, hourglass_mode
 
@@ -72,7 +72,7 @@ def bulk_points(points: CutElements, length: Floats, linear: float, quadratic: f
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_bulk_viscosity(bulk: BulkViscosity, u: Floats, v: Floats, force: Floats) -> None:
     """Add the forces of the bulk viscosity to (n, 2) force, N/m, from (n, 2) displacement and velocity."""
     for e in range(len(bulk.linear)):
@@ -91,7 +91,7 @@ def add_bulk_viscosity(bulk: BulkViscosity, u: Floats, v: Floats, force: Floats)
                     force[nodes[i], 1] += pressure * (f11 * gy - h12 * gx)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_hourglass_viscosity(elements: Elements, viscosity: Floats, v: Floats, force: Floats) -> None:
     """Add the forces -c gamma (gamma . v) to (n, 2) force, N/m, from (m,) viscosities and (n, 2) velocity."""
     for e in range(len(viscosity)):
@@ -102,7 +102,7 @@ def add_hourglass_viscosity(elements: Elements, viscosity: Floats, v: Floats, fo
             force[n, 1] -= share * qy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_viscous_forces(model: Model, state: State) -> None:
     """The viscous forces at the current displacement and the last velocity, added to the force."""
     state.viscous[:] = 0.0
@@ -113,7 +113,7 @@ def add_viscous_forces(model: Model, state: State) -> None:
         state.force[i, 1] += state.viscous[i, 1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def damp(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
     """Add the mass damping of the coming kick to forces and accelerations; book the energy that damping takes.
 

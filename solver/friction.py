@@ -21,9 +21,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.contact import OPEN, depth_at, nearest_segment, reported
 from phantomnode.solver.model import Contact, State
 from phantomnode.solver.search import Candidates, position
@@ -36,7 +36,7 @@ FARTHEST = 256
 jumped to another part of the surface and is let go."""
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def master_point(contact: Contact, s: int, t: float, x: Floats, u: Floats) -> tuple[float, float]:
     """Current position, m, of the point at the parameter t of master segment s."""
     ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
@@ -44,7 +44,7 @@ def master_point(contact: Contact, s: int, t: float, x: Floats, u: Floats) -> tu
     return ax + t * (bx - ax), ay + t * (by - ay)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def way_to(contact: Contact, s: int, t: float, anchor: int, anchor_at: float) -> int:
     """Whether the anchor lies behind (+1, along the segments) or before (-1) the place t on segment s.
 
@@ -65,7 +65,7 @@ def way_to(contact: Contact, s: int, t: float, anchor: int, anchor_at: float) ->
     return 0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def at_distance(
     cx: float, cy: float, radius: float, ax: float, ay: float, bx: float, by: float, low: float, high: float
 ) -> float:
@@ -84,7 +84,7 @@ def at_distance(
     return t if (t - high) * sign < 0.0 else high
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def slide(
     contact: Contact, s: int, t: float, anchor: int, anchor_at: float, radius: float, x: Floats, u: Floats
 ) -> tuple[int, float]:
@@ -112,7 +112,7 @@ def slide(
         low = 0.0 if way > 0 else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_on_master(
     contact: Contact, s: int, t: float, fx: float, fy: float, force: Floats, friction_force: Floats
 ) -> None:
@@ -126,7 +126,7 @@ def add_on_master(
         friction_force[n, 1] += share * fy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def stick_or_slip(
     contact: Contact, candidates: Candidates, k: int, i: int, x: Floats, state: State
 ) -> tuple[float, float]:
@@ -167,7 +167,7 @@ def stick_or_slip(
     return fx, fy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_friction_forces(contact: Contact, candidates: Candidates, x: Floats, state: State) -> None:
     """Add the friction of all closed points, after :func:`phantomnode.solver.contact.add_contact_forces`.
 
@@ -200,7 +200,7 @@ def add_friction_forces(contact: Contact, candidates: Candidates, x: Floats, sta
             state.pair_force[pair, 1] += sign * fy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def let_go(candidates: Candidates, state: State) -> None:
     """Points without candidates are open: their anchors are let go."""
     i, count = 0, candidates.near_first[len(candidates.near_first) - 1]
@@ -212,7 +212,7 @@ def let_go(candidates: Candidates, state: State) -> None:
         state.tangential[g, 0], state.tangential[g, 1] = 0.0, 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def friction_power(friction_force: Floats, v: Floats) -> float:
     """Power of the friction forces on all nodes, W/m, at the (n, 2) velocities v."""
     power = 0.0

@@ -17,13 +17,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from phantomnode.kernels import kernel
 
 SERIES_LIMIT = 0.09
 """Up to here the series of S is summed: its rest, y^13/27/(1 - y), is below 2e-15."""
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def atanh_series(y: float) -> float:
     """S(y) = atanh(sqrt y)/sqrt y for 0 <= y <= SERIES_LIMIT, without a logarithm or a square root."""
     y2 = y * y
@@ -34,7 +34,7 @@ def atanh_series(y: float) -> float:
     return low + y4 * (middle + y4 * high)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def strain_measures(
     h11: float, h12: float, h21: float, h22: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -50,7 +50,7 @@ def strain_measures(
     return half, b12, inverse, y, j1 / (2.0 + j1), j1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def logarithm(h11: float, h12: float, h21: float, h22: float) -> tuple[float, float, float, float]:
     """Logarithm of B = F F^T from the displacement gradient H = F - I.
 
@@ -72,7 +72,7 @@ def logarithm(h11: float, h12: float, h21: float, h22: float) -> tuple[float, fl
     return log_j, factor * half, factor * b12, 1.0 + j1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def kirchhoff(
     h11: float, h12: float, h21: float, h22: float, lame: float, shear: float
 ) -> tuple[float, float, float, float]:
@@ -97,21 +97,21 @@ def kirchhoff(
     return mean + shear * d, mean - shear * d, shear * c12, j
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def energy_density(h11: float, h12: float, h21: float, h22: float, lame: float, shear: float) -> float:
     """Stored energy W = lambda/2 (ln J)^2 + mu |ln V|^2 per reference volume, J/m^3."""
     log_j, d, c12, _ = logarithm(h11, h12, h21, h22)
     return 0.5 * (lame + shear) * log_j * log_j + 0.5 * shear * (d * d + c12 * c12)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def hencky_strain(h11: float, h12: float, h21: float, h22: float) -> tuple[float, float, float]:
     """Hencky strain ln V = (ln B)/2: its components 11, 22, 12 (Eq. 4)."""
     log_j, d, c12, _ = logarithm(h11, h12, h21, h22)
     return 0.5 * (log_j + d), 0.5 * (log_j - d), 0.5 * c12
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def cauchy(
     h11: float, h12: float, h21: float, h22: float, lame: float, shear: float
 ) -> tuple[float, float, float, float]:
@@ -121,7 +121,7 @@ def cauchy(
     return (mean + shear * d) / j, (mean - shear * d) / j, lame * log_j / j, shear * c12 / j
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def pull_back(
     t11: float, t22: float, t12: float, h11: float, h12: float, h21: float, h22: float, j: float
 ) -> tuple[float, float, float, float]:
@@ -135,7 +135,7 @@ def pull_back(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def first_piola(
     h11: float, h12: float, h21: float, h22: float, lame: float, shear: float
 ) -> tuple[float, float, float, float]:

@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.contact import OPEN, add_contact_forces, pairs_of
 from phantomnode.solver.cut_elements import add_cut_forces
 from phantomnode.solver.damping import add_viscous_forces, damp, is_viscous
@@ -94,7 +94,7 @@ def initial_state(model: Model, velocity: Floats, search: Search, value: Floats 
     return state
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def evaluate_elements(model: Model, state: State) -> int:
     """All forces but those of contact at the current displacement; whether the elements are sound."""
     for i in range(len(model.load)):
@@ -116,7 +116,7 @@ def evaluate_elements(model: Model, state: State) -> int:
     return INVERTED if smallest_j <= 0.0 else NOT_FINITE
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def find_candidates(model: Model, state: State, search: Search) -> Candidates:
     """Candidate lists at the current displacement; points outside them are open."""
     for g in range(len(state.gap)):
@@ -126,7 +126,7 @@ def find_candidates(model: Model, state: State, search: Search) -> Candidates:
     return candidates
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None:
     """Add the contact forces at the current displacement, then the accelerations of the free nodes."""
     add_contact_forces(
@@ -143,7 +143,7 @@ def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None
                 state.a[i, d] = state.force[i, d] / model.mass[i]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def move(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
     """Velocities over the interval ``kick``, reactions and their work, then displacements over the step."""
     u, v, a = state.u, state.v, state.a
@@ -182,7 +182,7 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
         state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def advance(model: Model, state: State, search: Search, dt: float, increments: Floats) -> int:
     """Run one step for each row of increments; with none, only evaluate the forces.
 

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.block import BLOCK, QX, QY, ROOM, J, gather, stress_block, stress_of
 from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.model import Elements
@@ -82,7 +82,7 @@ def _each(value: ArrayLike, m: int) -> Floats:
     return np.broadcast_to(np.asarray(value, dtype=np.float64), (m,)).copy()
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def displacement_gradient(nodes: Ints, gradient: Floats, u: Floats) -> tuple[float, float, float, float]:
     """H_ij = sum_I u_i^I dN_I/dX_j from the (4,) nodes and the (4, 2) gradient: H11, H12, H21, H22."""
     h11, h12, h21, h22 = 0.0, 0.0, 0.0, 0.0
@@ -95,7 +95,7 @@ def displacement_gradient(nodes: Ints, gradient: Floats, u: Floats) -> tuple[flo
     return h11, h12, h21, h22
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def hourglass_mode(nodes: Ints, gamma: Floats, u: Floats) -> tuple[float, float]:
     """Hourglass mode gamma . u in both directions, metres."""
     qx, qy = 0.0, 0.0
@@ -105,7 +105,7 @@ def hourglass_mode(nodes: Ints, gamma: Floats, u: Floats) -> tuple[float, float]
     return qx, qy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
     """Add the internal and hourglass forces of the uncut elements; return the smallest J.
 
@@ -139,7 +139,7 @@ def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
     return math.nan if lost else smallest
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def gather_elements(block: Floats, elements: Elements, start: int, count: int, u: Floats) -> None:
     """Fill a block with the elements from ``start`` on: displacement gradients and hourglass forces."""
     for k in range(count):
@@ -150,7 +150,7 @@ def gather_elements(block: Floats, elements: Elements, start: int, count: int, u
         block[QX + k], block[QY + k] = elements.hourglass[e] * qx, elements.hourglass[e] * qy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def element_energies(elements: Elements, u: Floats) -> tuple[float, float]:
     """Internal and hourglass energy of the uncut elements, J/m."""
     internal, hourglass = 0.0, 0.0

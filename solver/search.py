@@ -12,9 +12,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.model import Contact
 
 Floats = NDArray[np.float64]
@@ -69,7 +69,7 @@ def prepare_search(contact: Contact) -> Search:
     return Search(slave_nodes, slave_first, master_nodes, master_first, SKIN * contact.reach)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def position(nodes: Ints, shape: Floats, x: Floats, u: Floats) -> tuple[float, float]:
     """Current position, m, of the point with the (4,) shape functions in the element of the (4,) nodes."""
     px, py = 0.0, 0.0
@@ -79,7 +79,7 @@ def position(nodes: Ints, shape: Floats, x: Floats, u: Floats) -> tuple[float, f
     return px, py
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def closest(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> tuple[float, float]:
     """Squared distance of the point p from the segment a-b, m^2, and the parameter t in [0, 1] there."""
     dx, dy = bx - ax, by - ay
@@ -93,7 +93,7 @@ def closest(px: float, py: float, ax: float, ay: float, bx: float, by: float) ->
     return across * across / length2, t
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def movement_box(
     nodes: Ints, start: int, end: int, u: Floats, built: Floats
 ) -> tuple[float, float, float, float]:
@@ -107,7 +107,7 @@ def movement_box(
     return x_low, x_high, y_low, y_high
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def outdated(search: Search, candidates: Candidates, u: Floats) -> bool:
     """Whether slave and master of some pair may have moved by more than the skin relative to each other.
 
@@ -125,7 +125,7 @@ def outdated(search: Search, candidates: Candidates, u: Floats) -> bool:
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def segment_ends(contact: Contact, first: int, last: int, x: Floats, u: Floats) -> Floats:
     """(last - first, 4) Current ends ax, ay, bx, by of master segments, m."""
     ends = np.empty((last - first, 4))
@@ -136,7 +136,7 @@ def segment_ends(contact: Contact, first: int, last: int, x: Floats, u: Floats) 
     return ends
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def bin_grid(ends: Floats, margin: float) -> tuple[float, float, float, int, int]:
     """A uniform grid of bins over the segments: lower left corner, bin size, m, and bins in x and y.
 
@@ -153,13 +153,13 @@ def bin_grid(ends: Floats, margin: float) -> tuple[float, float, float, int, int
     return x_low, y_low, size, int(width / size) + 1, int(height / size) + 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def bin_range(low: float, high: float, origin: float, size: float, count: int) -> tuple[int, int]:
     """First and last bin that the interval touches."""
     return max(0, int((low - origin) / size)), min(count - 1, int((high - origin) / size))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def fill_bins(
     ends: Floats, margin: float, x0: float, y0: float, size: float, columns: int, rows: int
 ) -> tuple[Ints, Ints]:
@@ -189,7 +189,7 @@ def fill_bins(
     return first, members
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def grown(values: Ints, needed: int) -> Ints:
     """The same list with room for ``needed`` entries, at least twice as much as before where it must grow."""
     if needed <= len(values):
@@ -200,7 +200,7 @@ def grown(values: Ints, needed: int) -> Ints:
     return larger
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def rows_of(values: Floats, rows: Ints) -> Floats:
     """(k, 2) Copy of the rows with these numbers."""
     chosen = np.empty((len(rows), 2))
@@ -209,7 +209,7 @@ def rows_of(values: Floats, rows: Ints) -> Floats:
     return chosen
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def own_neighbourhood(contact: Contact, k: int, g: int, s: int) -> bool:
     """Whether all of segment s is so near to slave point g along their own curve that they see nothing of it."""
     if len(contact.exclusion) == 0 or not contact.exclusion[k] > 0.0:
@@ -221,7 +221,7 @@ def own_neighbourhood(contact: Contact, k: int, g: int, s: int) -> bool:
     return min(apart, length - apart) + half < contact.exclusion[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> Candidates:
     """Every master segment within reach + skin of every slave point, at the displacement u.
 
@@ -261,7 +261,7 @@ def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> 
     return Candidates(near, near_first, first, segments, built_slave, built_master)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def nearest_wall(contact: Contact, k: int, x: Floats) -> float:
     """Smallest distance, m, from a slave point of pair k to a segment within reach that faces away from it.
 

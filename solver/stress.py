@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.hencky import cauchy, hencky_strain
 from phantomnode.solver.model import CutElements, Elements
 from phantomnode.solver.q4 import displacement_gradient
@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _point_stress(
     nodes: Ints, gradient: Floats, lame: Floats, shear: Floats, first: Ints, u: Floats
 ) -> tuple[Floats, Floats, Floats]:

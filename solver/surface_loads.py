@@ -14,15 +14,15 @@ prescribed end is external.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from phantomnode.kernels import kernel
 from phantomnode.solver.model import Loads, Supports
 
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_loads(
     loads: Loads, value: Floats, x: Floats, u: Floats, force: Floats, applied: Floats, point_force: Floats
 ) -> None:
@@ -65,7 +65,7 @@ def add_loads(
         point_force[q, 0], point_force[q, 1] = fx, fy
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def load_power(loads: Loads, value: Floats, point_force: Floats, v: Floats) -> float:
     """Power of the current load forces at (n, 2) nodal velocities, W/m."""
     power = 0.0
@@ -81,7 +81,7 @@ def load_power(loads: Loads, value: Floats, point_force: Floats, v: Floats) -> f
     return power
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def add_support_forces(supports: Supports, held: Floats, u: Floats, force: Floats, support: Floats) -> None:
     """Add the spring forces of weak supports and record them.
 

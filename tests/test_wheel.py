@@ -26,7 +26,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def sources() -> set[str]:
     """What the wheel must hold: every module and every data file of the cases."""
-    wanted = {"phantomnode/__init__.py", "phantomnode/__main__.py", "phantomnode/py.typed"}
+    names = ("__init__.py", "__main__.py", "kernels.py", "py.typed")
+    wanted = {f"phantomnode/{name}" for name in names}
     for package in ("geometry", "solver", "pipeline", "cases"):
         wanted |= {f"phantomnode/{package}/{file.name}" for file in (ROOT / package).glob("*.py")}
     for kind in ("toml", "dxf", "step"):
