@@ -31,9 +31,6 @@ Ints = NDArray[np.int64]
 ITERATIONS = 12
 """Steps of the power method on four numbers: Rayleigh's quotient is then right to 1 % even in long cells."""
 
-EQUAL_STRETCHES = 1e-6
-"""Squares of the stretches that differ by less, relatively, are equal: their quotient would lose its digits."""
-
 
 class PointStiffness(NamedTuple):
     """Integration points with what their stiffness was at the start.
@@ -161,14 +158,13 @@ def principal_tangent(
     larger: float, smaller: float, j: float, lame: float, shear: float
 ) -> tuple[float, float, float, float, float]:
     """A1111, A2222, A1122, A1212 = A2121 and A1221 of the Hencky law from the squares of the stretches and J, Pa."""
-    log_j = math.log(j)
+    log_j, difference = math.log(j), larger - smaller
     tau1 = lame * log_j + shear * math.log(larger)
     tau2 = lame * log_j + shear * math.log(smaller)
     a11, a22 = (lame + 2.0 * shear - tau1) / larger, (lame + 2.0 * shear - tau2) / smaller
-    a12, difference = lame / j, larger - smaller
-    if difference > EQUAL_STRETCHES * larger:
-        return a11, a22, a12, (tau1 - tau2) / difference, (smaller * tau1 - larger * tau2) / (j * difference)
-    return a11, a22, a12, 0.5 * (a11 - a12 + tau1 / larger), 0.5 * (a11 - a12 - tau1 / larger)
+    # tau1 - tau2 = mu ln(l1^2/l2^2): no digit is lost where the stretches are nearly equal.
+    same = shear * math.log1p(difference / smaller) / difference if difference > 0.0 else shear / smaller
+    return a11, a22, lame / j, same, (smaller * same - tau2) / j
 
 
 @kernel

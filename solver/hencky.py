@@ -60,16 +60,17 @@ def logarithm(h11: float, h12: float, h21: float, h22: float) -> tuple[float, fl
         ln B = log_j I + [[d, c12], [c12, -d]]; and J = det F. All but J are NaN or infinite where J <= 0.
     """
     half, b12, inverse, y, z, j1 = strain_measures(h11, h12, h21, h22)
+    j = (1.0 + h11) * (1.0 + h22) - h12 * h21  # 1 + j1 would lose the digits of a small one
     if y <= SERIES_LIMIT and z * z <= SERIES_LIMIT:
         log_j = 2.0 * z * atanh_series(z * z)
         factor = 2.0 * atanh_series(y) * inverse
-    elif j1 > -1.0:
+    elif j > 0.0:
         root = math.sqrt(y)
-        log_j = math.log1p(j1)
+        log_j = math.log1p(j1) if j1 > -0.5 else math.log(j)
         factor = 2.0 * (math.atanh(root) / root if root > 0.0 else 1.0) * inverse
     else:
         log_j, factor = math.nan, math.nan
-    return log_j, factor * half, factor * b12, 1.0 + j1
+    return log_j, factor * half, factor * b12, j
 
 
 @kernel

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from statics import one_body
 
-from phantomnode.solver.current_step import StepMonitor, largest_growth, principal_tangent, tangent_eigenvalue
+from phantomnode.solver.current_step import (
+    ITERATIONS,
+    PointStiffness,
+    StepMonitor,
+    fastest_rate,
+    largest_growth,
+    principal_tangent,
+    step_rate,
+    tangent_eigenvalue,
+)
 from phantomnode.solver.hencky import first_piola
 from phantomnode.solver.timestep import stable_step
 
@@ -45,6 +54,95 @@ def test_tangent_eigenvalue_agrees_with_the_law_differentiated(kind):
         expected = largest_eigenvalue(h, metric)
         found = tangent_eigenvalue(*h, LAME, SHEAR, *metric)
         assert found == pytest.approx(expected, rel=2e-3) and found <= expected * (1 + 1e-6)
+
+
+def twin_tangent(larger, smaller, j):
+    """A1111, A2222, A1122, A1212, A1221 in extended precision, by the quotients of the module's docstring."""
+    first, second, j = (np.longdouble(value) for value in (larger, smaller, j))
+    one, two = (LAME * np.log(j) + SHEAR * np.log(square) for square in (first, second))
+    wave = LAME + 2.0 * SHEAR
+    if first == second:
+        return (wave - one) / first, (wave - two) / second, LAME / j, SHEAR / first, (SHEAR - one) / j
+    across = (one - two) / (first - second), (second * one - first * two) / (j * (first - second))
+    return (wave - one) / first, (wave - two) / second, LAME / j, *across
+
+
+@pytest.mark.twin("current_step.principal_tangent")
+@pytest.mark.parametrize("apart", [0.0, 1e-5, 1e-3, 0.1, 1.0, 30.0])
+def test_tangent_in_principal_axes_agrees_with_extended_precision(apart):
+    for smaller in (0.2, 1.0, 1.7):
+        larger = smaller * (1.0 + apart)
+        j = np.sqrt(larger * smaller)
+        expected = np.array(twin_tangent(larger, smaller, j), dtype=float)
+        scale = np.abs(expected).max()  # of the largest: some of them are differences
+        # Where the stretches nearly agree their quotient has lost digits even of extended precision.
+        near = max(1e-13, float(np.finfo(np.longdouble).eps) / apart if apart else 0.0)
+        np.testing.assert_allclose(
+            principal_tangent(larger, smaller, j, LAME, SHEAR), expected, rtol=0, atol=near * scale
+        )
+
+
+def twin_eigenvalue(h, metric):
+    """The power method of as many steps on the matrix of X -> A : (X G) in principal axes."""
+    f = np.eye(2) + np.reshape(h, (2, 2))
+    c = f.T @ f
+    angle = 0.5 * np.arctan2(2.0 * c[0, 1], c[0, 0] - c[1, 1])
+    axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    g = axes.T @ np.array([[metric[0], metric[2]], [metric[2], metric[1]]]) @ axes
+    larger, j = axes[:, 0] @ c @ axes[:, 0], np.linalg.det(f)
+    a11, a22, a12, same, cross = np.array(twin_tangent(larger, j * j / larger, j), dtype=float)
+    a = np.array([[a11, 0, 0, a12], [0, same, cross, 0], [0, cross, same, 0], [a12, 0, 0, a22]])
+    times_g, x = np.kron(np.eye(2), g), np.array([1.0, 0.4, 0.3, 0.8])
+    for _ in range(ITERATIONS):
+        t = times_g @ x
+        value = t @ a @ t / (t @ x)
+        x = a @ t / np.linalg.norm(a @ t)
+    return value
+
+
+@pytest.mark.twin("current_step.tangent_eigenvalue")
+@pytest.mark.parametrize("kind", DEFORMED)
+def test_tangent_eigenvalue_agrees_with_the_numpy_twin(kind):
+    h = DEFORMED[kind]
+    for metric in ((1.0, 1.0, 0.0), (3.0, 1.0, 0.7)):
+        found = tangent_eigenvalue(*h, LAME, SHEAR, *metric)
+        assert found == pytest.approx(twin_eigenvalue(h, metric), rel=1e-13)
+
+
+@pytest.mark.twin("current_step.largest_growth", "current_step.step_rate")
+def test_the_quick_bound_and_the_rate_agree_with_numpy():
+    for h in DEFORMED.values():
+        least = np.linalg.svd(np.eye(2) + np.reshape(h, (2, 2)))[1].min()
+        growth = least**-3.0 if least < 1.0 else (1.0 + 2.0 * np.log(least)) / least**2
+        assert largest_growth(*h) == pytest.approx(growth, rel=1e-13)
+    for frequency2, viscosity in ((4.0, 0.0), (4.0, 3.0), (1e12, 1e7)):
+        roots = np.roots([0.25 * frequency2, 0.5 * viscosity, -1.0])
+        assert step_rate(frequency2, viscosity) == pytest.approx(1.0 / roots.max(), rel=1e-13)
+
+
+@pytest.mark.twin("current_step.fastest_rate")
+def test_the_fastest_of_some_elements_agrees_with_numpy():
+    """Elements of one to three points; what is quick to rule out is ruled out."""
+    rng = np.random.default_rng(3)
+    nodes, first = np.array([[0, 1, 2, 3], [1, 4, 5, 2], [4, 6, 7, 5]]), np.array([0, 1, 4, 6])
+    gradient, owner = rng.normal(size=(6, 4, 2)), np.repeat([0, 1, 2], [1, 3, 2])
+    metric = np.einsum("pia,pib->pab", gradient, gradient)
+    metric = np.ascontiguousarray(metric[:, [0, 1, 0], [0, 1, 1]])
+    start = np.array([twin_eigenvalue(np.zeros(4), row) for row in metric])
+    widest = 2.0 * (LAME + SHEAR) * np.trace(np.einsum("pia,pib->pab", gradient, gradient), axis1=1, axis2=2)
+    frequency2, contact2, viscosity = rng.uniform(1, 2, (3, 3))
+    points = PointStiffness(
+        nodes, first, gradient, np.full(3, LAME), np.full(3, SHEAR), metric, start, widest / start, frequency2,
+        contact2, viscosity,
+    )  # fmt: skip
+    for size in (0.0, 0.05, 0.1):
+        u = size * rng.uniform(-1, 1, (8, 2))
+        h = np.einsum("pia,pib->pab", u[nodes[owner]], gradient).reshape(-1, 4)
+        growth = np.array([twin_eigenvalue(*of) for of in zip(h, metric, strict=True)]) / start
+        square, slowing = (growth * frequency2[owner] + contact2[owner]), viscosity[owner]
+        rates = 0.25 * (slowing + np.sqrt(slowing**2 + 4.0 * square))
+        assert fastest_rate(points, u, 0.0) == pytest.approx(rates.max(), rel=1e-13)
+        assert fastest_rate(points, u, 99.0) == 99.0
 
 
 def test_rotation_changes_nothing_and_inversion_is_told():

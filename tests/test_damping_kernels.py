@@ -40,6 +40,7 @@ def distorted(seed=0):
     return model_of(x, quads), 0.03 * rng.uniform(-1, 1, x.shape), 10.0 * rng.uniform(-1, 1, x.shape)
 
 
+@pytest.mark.twin("damping.add_bulk_viscosity")
 def test_bulk_viscosity_agrees_with_its_numpy_twin():
     model, u, v = distorted()
     model = damped(model, linear=0.06, quadratic=1.2)
@@ -81,6 +82,7 @@ def test_bulk_viscosity_of_cut_elements_agrees_with_its_numpy_twin():
     assert np.abs(force - expected).max() < 1e-13 * np.abs(expected).max()
 
 
+@pytest.mark.twin("damping.add_hourglass_viscosity")
 def test_hourglass_viscosity_agrees_with_its_numpy_twin():
     model, _, v = distorted()
     e = model.elements
@@ -103,6 +105,7 @@ def one_square():
     return model_of(x, quads).elements
 
 
+@pytest.mark.twin("damping.damp")
 def test_mass_damping_agrees_with_its_numpy_twin():
     model, u, v = distorted()
     channel = np.full(u.shape, -1)

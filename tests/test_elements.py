@@ -5,8 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phantomnode.solver.cut_elements import add_cut_forces, cut_energy, fragment_elements
-from phantomnode.solver.q4 import add_element_forces, element_energies, one_point_elements
+from phantomnode.solver.block import BLOCK, H11, P11, QX, QY, ROOM, J, stress_block, stress_of
+from phantomnode.solver.cut_elements import add_cut_forces, cut_energy, fragment_elements, owner
+from phantomnode.solver.q4 import (
+    add_element_forces,
+    displacement_gradient,
+    element_energies,
+    gather_elements,
+    hourglass_mode,
+    one_point_elements,
+)
 from phantomnode.solver.stress import cut_stress, element_stress, von_mises
 
 LAME, SHEAR, RHO = 5.8e9, 3.8e9, 7800.0
@@ -76,6 +84,7 @@ def test_hourglass_mode_sees_no_linear_field_on_a_distorted_element():
     assert e.volume[0] == pytest.approx(area, rel=1e-14)
 
 
+@pytest.mark.twin("q4.add_element_forces")
 @pytest.mark.parametrize("columns", [1, 127, 128, 129, 300])
 def test_forces_agree_with_the_numpy_twin(columns):
     """Around the length of a block, with strains on both sides of the limit of the series."""
@@ -103,6 +112,51 @@ def strain_energy(f, lame, shear):
     return energy, tau @ np.linalg.inv(f).transpose(0, 2, 1), tau, log_b
 
 
+@pytest.mark.twin("q4.displacement_gradient", "q4.hourglass_mode")
+@pytest.mark.twin("q4.gather_elements", "block.gather", "block.stress_block", "block.stress_of")
+def test_a_block_of_elements_agrees_with_numpy():
+    """Gradients, stresses on both sides of the limit of the series, hourglass forces, J; of a part of them."""
+    x, quads = grid(60, 1, 0.2)
+    rng = np.random.default_rng(6)
+    e = one_point_elements(quads, x[quads], LAME, SHEAR * rng.uniform(1, 2, 60), RHO)
+    u = 0.15 * rng.uniform(-1, 1, x.shape)
+    u[:, 0] += 1.2 * x[:, 0] * (x[:, 0] > 30)
+    h = np.einsum("mia,mib->mab", u[quads], e.gradient)
+    mode = np.einsum("mi,mia->ma", e.gamma, u[quads])
+    _, piola, _, _ = strain_energy(np.eye(2) + h, e.lame, e.shear)
+    piola *= e.volume[:, None, None]
+    block, some = np.zeros(ROOM), slice(7, 60)
+    gather_elements(block, e, 7, 53, u)
+    stress_block(block, 53)
+    rows = block.reshape(-1, BLOCK)[:, :53]
+
+    def assert_close(got, expected, scale):
+        np.testing.assert_allclose(got, expected[some], rtol=0, atol=1e-13 * scale)
+
+    reach = np.abs(u).max() * np.abs(e.gradient).max()  # of the terms of a gradient
+    assert_close(rows[H11 // BLOCK : P11 // BLOCK][:4].T.reshape(-1, 2, 2), h, reach)
+    assert_close(rows[J // BLOCK], np.linalg.det(np.eye(2) + h), reach**2)
+    stress = np.reshape([stress_of(block, k) for k in range(53)], (-1, 2, 2))
+    assert_close(stress, piola, np.abs(piola).max())
+    held = e.hourglass[:, None] * mode
+    assert_close(rows[[QX // BLOCK, QY // BLOCK]].T, held, np.abs(u).max() * e.hourglass.max())
+    for k in (0, 59):
+        gradient, found = (
+            displacement_gradient(quads[k], e.gradient[k], u),
+            hourglass_mode(quads[k], e.gamma[k], u),
+        )
+        np.testing.assert_allclose(gradient, h[k].ravel(), rtol=0, atol=1e-13 * reach)
+        np.testing.assert_allclose(found, mode[k], rtol=0, atol=1e-13 * np.abs(u).max())
+
+
+@pytest.mark.twin("cut_elements.owner")
+def test_the_element_of_a_point():
+    first = np.array([0, 3, 4, 9, 12])
+    points = np.arange(12)
+    assert [owner(first, p, 0) for p in points] == (np.searchsorted(first, points, side="right") - 1).tolist()
+    assert owner(first, 8, 2) == 2 and owner(first, 9, 2) == 3
+
+
 def random_cut_elements(count=90):
     """More points than one block holds, three to nine an element; strains on both sides of the series' limit."""
     rng = np.random.default_rng(12)
@@ -117,14 +171,15 @@ def random_cut_elements(count=90):
     return cut, owner, u
 
 
+@pytest.mark.twin("cut_elements.add_cut_forces", "cut_elements.cut_energy", "stress._point_stress")
 def test_cut_elements_agree_with_the_numpy_twin():
-    cut, owner, u = random_cut_elements()
+    cut, of, u = random_cut_elements()
     assert len(cut.weight) > 2 * 128
-    f = np.eye(2) + np.einsum("pia,pib->pab", u[cut.nodes[owner]], cut.gradient)
-    energy, piola, tau, log_b = strain_energy(f, cut.lame[owner], cut.shear[owner])
+    f = np.eye(2) + np.einsum("pia,pib->pab", u[cut.nodes[of]], cut.gradient)
+    energy, piola, tau, log_b = strain_energy(f, cut.lame[of], cut.shear[of])
     expected, force = np.zeros_like(u), np.zeros_like(u)
     corner = np.einsum("p,pab,pib->pia", cut.weight, piola, cut.gradient)
-    np.subtract.at(expected, cut.nodes[owner], corner)
+    np.subtract.at(expected, cut.nodes[of], corner)
     smallest = add_cut_forces(cut, u, force)
     j = np.linalg.det(f)
     assert smallest == pytest.approx(j.min(), rel=1e-13)
@@ -138,6 +193,7 @@ def test_cut_elements_agree_with_the_numpy_twin():
     np.testing.assert_allclose(ratio, j, rtol=1e-13)
 
 
+@pytest.mark.twin("q4.element_energies")
 def test_energies_of_uncut_elements_agree_with_the_numpy_twin():
     x, quads = grid(40, 3, 0.2)
     rng = np.random.default_rng(1)

@@ -180,6 +180,7 @@ def twin(contact, x, u, gap, anchor, anchor_at):
     return force, energy
 
 
+@pytest.mark.twin("friction.stick_or_slip", "friction.add_friction_forces", "friction.friction_power")
 @pytest.mark.parametrize("seed", range(3))
 def test_twin_in_numpy(seed):
     rng = np.random.default_rng(seed)

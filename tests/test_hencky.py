@@ -7,7 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from phantomnode.solver.hencky import cauchy, energy_density, first_piola, hencky_strain, kirchhoff, logarithm
+from phantomnode.solver.hencky import (
+    SERIES_LIMIT,
+    atanh_series,
+    cauchy,
+    energy_density,
+    first_piola,
+    hencky_strain,
+    kirchhoff,
+    logarithm,
+    pull_back,
+    strain_measures,
+)
 
 YOUNG, NU = 1e10, 0.3
 LAME = YOUNG * NU / ((1 + NU) * (1 - 2 * NU))
@@ -58,9 +69,47 @@ def test_rotation_gives_no_stress(angle):
     assert max(np.abs(cauchy(*h_of(rotation(angle)), LAME, SHEAR))) < 4 * EPS * YOUNG
 
 
+@pytest.mark.twin("hencky.atanh_series")
+def test_the_series_of_atanh():
+    for y in np.linspace(0.0, SERIES_LIMIT, 50)[1:]:
+        root = np.sqrt(np.longdouble(y))
+        assert atanh_series(y) == pytest.approx(float(np.arctanh(root) / root), rel=1e-13)
+    assert atanh_series(0.0) == 1.0
+
+
+@pytest.mark.twin("hencky.strain_measures", "hencky.pull_back")
+def test_strain_measures_and_the_pull_back():
+    """From the smallest to large strains, each relative to itself; the reference in extended precision."""
+    rng = np.random.default_rng(9)
+    for size in (1e-12, 1e-4, 0.3):
+        h = size * rng.uniform(-1, 1, 4)
+        f = extended(h)
+        j, e = f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0], f @ f.T - np.eye(2)
+        half, m = 0.5 * (e[0, 0] - e[1, 1]), 1.0 + 0.5 * np.trace(e)
+        y, z = (half**2 + e[0, 1] ** 2) / (m + j) ** 2, (j - 1.0) / (j + 1.0)
+        expected = [float(v) for v in (half, e[0, 1], 1.0 / (m + j), y, z, j - 1.0)]
+        # Of 80 bits of F, forty lie below a strain of 1e-12: extended precision itself has 1e-7 there.
+        near = max(1e-13, float(np.finfo(np.longdouble).eps) / size)
+        assert strain_measures(*h) == pytest.approx(expected, rel=near)
+        tau = rng.normal(size=(2, 2))
+        tau += tau.T
+        piola = pull_back(tau[0, 0], tau[1, 1], tau[0, 1], *h, float(j))
+        np.testing.assert_allclose(
+            np.reshape(piola, (2, 2)),
+            tau @ np.linalg.inv(f.astype(float)).T,
+            rtol=0,
+            atol=1e-13 * np.abs(tau).max(),
+        )
+
+
+def extended(h):
+    """F of the rounded H in extended precision."""
+    return np.eye(2, dtype=np.longdouble) + np.reshape(h, (2, 2))
+
+
 def extended_log(h):
     """ln B in extended precision from the rounded H itself: the angle of the axes, both eigenvalues without loss."""
-    f = np.eye(2, dtype=np.longdouble) + np.reshape(h, (2, 2))
+    f = extended(h)
     b, j = f @ f.T, f[0, 0] * f[1, 1] - f[0, 1] * f[1, 0]
     angle = 0.5 * np.arctan2(2 * b[0, 1], b[0, 0] - b[1, 1])
     axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -68,6 +117,7 @@ def extended_log(h):
     return axes @ np.diag(np.log([large, j * j / large])) @ axes.T
 
 
+@pytest.mark.twin("hencky.logarithm")
 def test_logarithm_from_tiny_to_huge_strains():
     """Eigenvalues of B from 1e-3 to 1e3, in any direction, rotated as well: 1e-13 of the largest component."""
     rng = np.random.default_rng(3)
@@ -81,7 +131,10 @@ def test_logarithm_from_tiny_to_huge_strains():
         assert np.abs(got - extended_log(h_of(f))).max() < 1e-13 * np.abs(exact).max()
         # Rounding of F itself moves a small eigenvalue by up to EPS times the condition of F (1e3 at most).
         assert np.abs(got - exact).max() < 1e-12 * max(1.0, np.abs(exact).max())
-        assert j == pytest.approx(np.prod(stretch), rel=1e-12)
+        # J to the products whose difference it is, up to 1e3 of it: an ulp of H moves it by as much.
+        f = extended(h_of(f))
+        products = f[0, 0] * f[1, 1], f[0, 1] * f[1, 0]
+        assert abs(j - (products[0] - products[1])) < 1e-13 * np.abs(products).sum()
 
 
 def test_small_strains_lose_no_digits():
@@ -104,6 +157,9 @@ def test_series_and_closed_form_agree_where_they_meet():
         np.testing.assert_allclose(jump, 2 * slope, atol=1e-14)
 
 
+@pytest.mark.twin(
+    "hencky.kirchhoff", "hencky.first_piola", "hencky.hencky_strain", "hencky.cauchy", "hencky.energy_density"
+)
 def test_stress_agrees_with_the_eigenvalue_twin():
     rng = np.random.default_rng(5)
     for _ in range(200):
@@ -111,7 +167,7 @@ def test_stress_agrees_with_the_eigenvalue_twin():
         log_b, j = twin_log(f), np.linalg.det(f)
         tau = LAME * np.log(j) * np.eye(2) + SHEAR * log_b
         t11, t22, t12, _ = kirchhoff(*h_of(f), LAME, SHEAR)
-        # eigh of an ill-conditioned B: EPS times the condition (about 100) of the worst sample.
+        # Of E: eigh has EPS times the condition (about 100) of the worst sample.
         np.testing.assert_allclose([[t11, t12], [t12, t22]], tau, atol=1e-13 * YOUNG)
         np.testing.assert_allclose(
             np.reshape(first_piola(*h_of(f), LAME, SHEAR), (2, 2)),
@@ -119,6 +175,13 @@ def test_stress_agrees_with_the_eigenvalue_twin():
             atol=1e-13 * YOUNG,
         )
         np.testing.assert_allclose(hencky_strain(*h_of(f)), (0.5 * log_b)[[0, 1, 0], [0, 1, 1]], atol=1e-13)
+        np.testing.assert_allclose(
+            cauchy(*h_of(f), LAME, SHEAR),
+            [tau[0, 0] / j, tau[1, 1] / j, LAME * np.log(j) / j, tau[0, 1] / j],
+            atol=1e-13 * YOUNG / j,
+        )
+        energy = 0.5 * LAME * np.log(j) ** 2 + 0.25 * SHEAR * np.sum(log_b**2)
+        assert energy_density(*h_of(f), LAME, SHEAR) == pytest.approx(energy, abs=1e-13 * YOUNG)
 
 
 def test_piola_stress_is_the_gradient_of_the_energy():

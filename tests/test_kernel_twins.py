@@ -1,9 +1,16 @@
-"""Kernels that no other test compares with NumPy: the motion, the nearest wall, the anchor, the level set's foot."""
+"""Every kernel has a NumPy twin; here those of the step, the nearest wall, the anchor, the level set's foot."""
 
 from __future__ import annotations
 
+import ast
+import pkgutil
+from importlib import import_module
+from pathlib import Path
+
+import numba
 import numpy as np
 import pytest
+from numba.core.registry import CPUDispatcher
 from test_contact import NOTCH, SQUARE, point_contact, star
 from test_damping_kernels import damped, distorted
 from test_elements import twin_forces
@@ -12,13 +19,15 @@ from test_levelset import chain
 from test_self_contact import along_curve, folded
 from test_self_contact import twin as twin_contact
 
+from phantomnode import geometry, solver
 from phantomnode.geometry.curves import arc_centre
 from phantomnode.geometry.levelset import LevelSet
-from phantomnode.solver.contact import reported
+from phantomnode.solver.contact import OPEN, reported
 from phantomnode.solver.damping import add_bulk_viscosity, add_hourglass_viscosity, add_viscous_forces
 from phantomnode.solver.friction import let_go, slide
 from phantomnode.solver.leapfrog import (
     DONE,
+    advance,
     evaluate_contact,
     evaluate_elements,
     find_candidates,
@@ -28,6 +37,33 @@ from phantomnode.solver.leapfrog import (
 from phantomnode.solver.search import build_candidates, nearest_wall, prepare_search
 
 
+def kernels():
+    """All compiled functions of solver and geometry, as module.function."""
+    for package in (geometry, solver):
+        for module in pkgutil.iter_modules(package.__path__, package.__name__ + "."):
+            for name, value in vars(import_module(module.name)).items():
+                if isinstance(value, CPUDispatcher) and value.__module__ == module.name:
+                    yield f"{module.name.rpartition('.')[2]}.{name}"
+
+
+def twinned():
+    """What tests say of themselves: ``@pytest.mark.twin("module.function", ...)``."""
+    for file in Path(__file__).parent.glob("test_*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            for mark in getattr(node, "decorator_list", []):
+                if ast.unparse(mark).startswith("pytest.mark.twin("):
+                    yield from map(ast.literal_eval, mark.args)
+
+
+@pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason="without the compiler no kernel is told from a function"
+)
+def test_every_kernel_is_compared_with_numpy():
+    """Directly, or through the function that does nothing else: the test says so by its mark."""
+    assert set(kernels()) == set(twinned())
+
+
+@pytest.mark.twin("leapfrog.move")
 def test_motion_agrees_with_numpy():
     """Velocity, displacement, reactions, impulses and works of one step; nodes free and prescribed."""
     rng = np.random.default_rng(7)
@@ -71,6 +107,7 @@ def test_motion_agrees_with_numpy():
         np.testing.assert_allclose(getattr(state, name), value, atol=1e-13 * scale, rtol=0, err_msg=name)
 
 
+@pytest.mark.twin("leapfrog.evaluate_elements", "leapfrog.evaluate_contact")
 def test_forces_and_accelerations_of_a_step_agree_with_numpy():
     """Two blocks that overlap: load, elements and contact add up; accelerations where free, peak of the pair."""
     rng = np.random.default_rng(9)
@@ -96,6 +133,58 @@ def test_forces_and_accelerations_of_a_step_agree_with_numpy():
     assert state.pair_peak[0] == pytest.approx(np.hypot(*contact[above].sum(axis=0)), abs=1e-13 * scale)
 
 
+@pytest.mark.twin("leapfrog.advance")
+def test_a_run_agrees_with_numpy():
+    """Central differences written out once more: two blocks that hit each other, one of them pushed."""
+    model, v, above = two_blocks()
+    channel = np.full(v.shape, -1)
+    channel[:2, 1] = 0
+    model = model._replace(channel=channel, channels=1)
+    search, dt, steps = prepare_search(model.contact), 2e-6, 12
+    state = initial_state(model, v, search)
+    state.u[above] -= [0.0, 0.004]
+    x, u, impulse, peak = model.x, state.u.copy(), 0.0, 0.0
+    increments = 1e-5 * np.random.default_rng(8).uniform(0, 1, (steps, 1))
+
+    def forces(u):
+        contact = twin_contact(model.contact, x + u)[0]
+        return twin_forces(model.elements, u) + contact, contact[above].sum(axis=0)
+
+    assert advance(model, state, search, dt, np.zeros((0, 1))) == DONE
+    assert advance(model, state, search, dt, increments) == DONE
+    force, on_slave = forces(u)
+    for step, (push,) in enumerate(increments):
+        kick = dt if step else 0.5 * dt
+        impulse = impulse + kick * on_slave
+        v = np.where(channel < 0, v + kick * force / model.mass[:, None], push / dt)
+        u = u + dt * v
+        force, on_slave = forces(u)
+        peak = max(peak, np.hypot(*on_slave))
+    assert state.clock.tolist() == [steps * dt, steps] and peak > 0.0
+    # Of the largest value each; a force has the rounding of the displacements times the stiffness.
+    for name, expected in (("u", u), ("v", v), ("force", force), ("pair_impulse", impulse[None])):
+        np.testing.assert_allclose(
+            getattr(state, name), expected, rtol=0, atol=1e-13 * np.abs(expected).max(), err_msg=name
+        )
+    assert state.pair_peak[0] == pytest.approx(peak, rel=1e-13)
+
+
+@pytest.mark.twin("leapfrog.find_candidates")
+def test_what_is_found_anew_is_open_until_its_forces_are_known():
+    model, velocity, _ = two_blocks()
+    search = prepare_search(model.contact)
+    state = initial_state(model, velocity, search)
+    state.gap[:] = 1.0
+    found = find_candidates(model, state, search)
+    expected = build_candidates(model.contact, search, model.x, state.u)
+    count = expected.near_first[-1]
+    assert found.near_first.tolist() == expected.near_first.tolist() and count > 0
+    for name, used in (("near", count), ("first", count + 1), ("segments", expected.first[count])):
+        assert np.array_equal(getattr(found, name)[:used], getattr(expected, name)[:used])
+    assert np.all(state.gap == OPEN)
+
+
+@pytest.mark.twin("search.nearest_wall")
 @pytest.mark.parametrize("seed", range(10))
 def test_nearest_wall_agrees_with_numpy(seed):
     contact, x, u = folded(np.random.default_rng(seed), rough=0.04)
@@ -121,6 +210,7 @@ def crossings(c, radius, start, end):
     return [t for t in real if 0.0 <= t <= 1.0 and d @ (start + t * d - c) > 0.0]
 
 
+@pytest.mark.twin("friction.slide")
 @pytest.mark.parametrize("seed", range(20))
 def test_the_dragged_anchor_agrees_with_numpy(seed):
     """Over the vertices of a random polygon: the first place on the way that is as far as the radius."""
@@ -147,6 +237,7 @@ def test_the_dragged_anchor_agrees_with_numpy(seed):
     assert moved > 15
 
 
+@pytest.mark.twin("levelset._query", "levelset._foot", "levelset._fraction", "levelset._side")
 @pytest.mark.parametrize("bulge", [-2.0, -0.7, -0.1, 0.0, 0.1, 0.7, 2.0])
 def test_foot_normal_and_place_on_a_piece_agree_with_numpy(bulge):
     """Points put at a known place of a line or arc, at a known distance to the left."""
@@ -168,6 +259,7 @@ def test_foot_normal_and_place_on_a_piece_agree_with_numpy(bulge):
     np.testing.assert_allclose(found.s, s, atol=1e-13)
 
 
+@pytest.mark.twin("damping.add_viscous_forces")
 def test_viscous_forces_are_the_sum_of_both_viscosities():
     """Each has a NumPy twin of its own; here they add up, in the force and in what damping books."""
     model, u, v = distorted()
@@ -184,6 +276,7 @@ def test_viscous_forces_are_the_sum_of_both_viscosities():
     np.testing.assert_allclose(state.force, 1.0 + expected, atol=1e-13 * scale, rtol=0)
 
 
+@pytest.mark.twin("friction.let_go")
 def test_points_without_candidates_let_go_of_their_anchors():
     """Those that are near keep theirs; what stands behind the last pair in the list is not looked at."""
     contact, x = point_contact([[0.5, 0.98], [0.5, 9.0], [0.4, 0.99], [0.3, 9.0]], SQUARE, 0.1)
@@ -201,6 +294,7 @@ def contact_of_none():
     return model_of(*grid(1, 1, 1.0)).contact
 
 
+@pytest.mark.twin("contact.reported")
 def test_second_passes_are_reported_with_their_first():
     """Pairs 0 and 1 are the two passes of one pair, 2 stands alone; without two passes each is its own."""
     contact = contact_of_none()

@@ -109,6 +109,7 @@ def twin(contact, y):
     return force, gap, kind
 
 
+@pytest.mark.twin("contact.add_contact_forces")
 def test_self_contact_agrees_with_the_numpy_twin():
     """Random folds, interiors and vertices, before and in the recess: 1e-13 of the largest force."""
     seen = np.zeros(3)
