@@ -17,7 +17,8 @@ from phantomnode.geometry.arrangement import Arrangement, components
 from phantomnode.geometry.chains import Chains, barrier_chains, in_cells
 from phantomnode.geometry.curves import Curve, Region
 from phantomnode.geometry.grid import BackgroundGrid
-from phantomnode.geometry.inside import cell_of_faces, check_cover, inside_of
+from phantomnode.geometry.inside import PlainCells, cell_of_faces, check_cover, inside_of
+from phantomnode.geometry.near import Part, near_part
 from phantomnode.geometry.noding import Lattice, Pieces, cross, node_segments
 from phantomnode.geometry.tags import CellEdges, Tags
 
@@ -33,21 +34,24 @@ class Fragments:
     Attributes
     ----------
     lattice : Lattice
+    part : Part
+        The part of the grid near barriers; what stands inside it is numbered as there.
     nodes : (n, 2) int64
-        Lattice points of the (relocated) grid nodes.
+        Lattice points of the (relocated) nodes of the part.
     edges : CellEdges
+        Of the part.
     arrangement : Arrangement
-        Of the cells near barriers ("the band") with the barriers.
+        Of the cells that barriers pass through ("the band") with the barriers.
     cell : (m,) int64
-        The cell of each fragment; ascending.
-    doubled_area : (m,) int64
-        Twice the area of each fragment in lattice units, exact.
+        The cell of each fragment in the whole grid; ascending.
     whole : (m,) bool
         Whether the fragment is all of its cell.
+    region : (m,) int32
+        Which connected set of cells outside the band it belongs to; -1 in the band.
     of_face : (f,) int64
         The fragment of each face of the arrangement; -1 in the void and outside the band.
-    of_cell : (cells,) int64
-        The fragment of each cell that lies outside the band, inside the body; -1 otherwise.
+    of_cell : (c,) int64
+        The fragment of each cell of the part that lies outside the band, inside the body; -1 otherwise.
     grid_edge : (s,) int64
         The grid edge of each segment of the arrangement, -1 inside cells.
     edge_forward : (s,) bool
@@ -64,12 +68,13 @@ class Fragments:
     """
 
     lattice: Lattice
+    part: Part
     nodes: Ints
     edges: CellEdges
     arrangement: Arrangement
     cell: Ints
-    doubled_area: Ints
     whole: Bools
+    region: NDArray[np.int32]
     of_face: Ints
     of_cell: Ints
     grid_edge: Ints
@@ -130,17 +135,33 @@ def cut(
         Where outlines cross each other or the body reaches beyond the grid.
     """
     loops = [loop for region in regions for loop in region.loops]
-    chains = barrier_chains([*loops, *interfaces], grid, lattice, len(loops))
-    nodes, edges = lattice.snap(grid.xy), CellEdges.of(grid)
-    chains, band = in_cells(chains, nodes[grid.quads])
-    pieces, source_edges = _noded(nodes, grid.quads, edges, band, chains)
+    curves = [*loops, *interfaces]
+    part = near_part(grid, curves)
+    quads = part.grid.quads
+    chains = barrier_chains(curves, part.grid, lattice, len(loops))
+    nodes, edges = lattice.snap(part.grid.xy), CellEdges.of(part.grid)
+    chains, band = in_cells(chains, nodes[quads])
+    pieces, source_edges = _noded(nodes, quads, edges, band, chains)
     arrangement = Arrangement.of(pieces)
     tags = Tags.of(arrangement, pieces, source_edges, chains, len(loops))
     face_cell = cell_of_faces(arrangement, tags, edges, band)
-    inside_face, inside_cell = inside_of(arrangement, tags, edges, band, face_cell, grid, regions, lattice)
-    check_cover(arrangement, tags, edges, inside_face, inside_cell, face_cell, nodes, lattice)
+    plain = PlainCells.of(grid, part, band, edges)
+    inside_face, inside_plain = inside_of(
+        arrangement, tags, edges, face_cell, plain, part, grid, regions, lattice
+    )
+    check_cover(arrangement, tags, edges, inside_face, inside_plain, plain, grid, lattice)
     return _fragments(
-        lattice, nodes, grid.quads, edges, arrangement, tags, face_cell, inside_face, inside_cell, len(loops)
+        lattice,
+        part,
+        nodes,
+        edges,
+        arrangement,
+        tags,
+        face_cell,
+        inside_face,
+        inside_plain,
+        plain,
+        len(loops),
     )
 
 
@@ -180,14 +201,15 @@ def _bridges(pieces: Pieces, grid_edges: int, nodes: Ints, quads: Ints, band: Bo
 
 def _fragments(
     lattice: Lattice,
+    part: Part,
     nodes: Ints,
-    quads: Ints,
     edges: CellEdges,
     arrangement: Arrangement,
     tags: Tags,
     face_cell: Ints,
     inside_face: Bools,
-    inside_cell: Bools,
+    inside_plain: Bools,
+    plain: PlainCells,
     loops: int,
 ) -> Fragments:
     """Unite the faces of each cell across whatever is no barrier, and number the fragments by cell."""
@@ -199,25 +221,26 @@ def _fragments(
     roots, fragment = np.unique(group[faces], return_inverse=True)
     cell_of_root = np.empty(len(roots), dtype=np.int64)
     cell_of_root[fragment] = face_cell[faces]
-    area = np.zeros(len(roots), dtype=np.int64)
+    area, whole_area = np.zeros(len(roots), dtype=np.int64), np.zeros(len(part.cells), dtype=np.int64)
     np.add.at(area, fragment, arrangement.doubled_areas[faces])
-    cells = np.flatnonzero(inside_cell)
-    cell = np.concatenate([cell_of_root, cells])
-    corner = nodes[quads]
-    whole_area = cross(corner[:, 2] - corner[:, 0], corner[:, 3] - corner[:, 1])
-    # In the band, a cell's area is that of its faces: noding may have bent its edges by a lattice unit.
+    # A cell's area is that of its faces: noding may have bent its edges by a lattice unit.
     in_band = face_cell >= 0
-    whole_area[np.unique(face_cell[in_band])] = 0
     np.add.at(whole_area, face_cell[in_band], arrangement.doubled_areas[in_band])
-    area = np.concatenate([area, whole_area[cells]])
-    order = np.lexsort([np.arange(len(cell)), cell])
-    number = np.empty(len(order), dtype=np.int64)
-    number[order] = np.arange(len(order))
-    of_face, of_cell = np.full(len(inside_face), -1), np.full(len(quads), -1)
+    order = np.argsort(cell_of_root, kind="stable")
+    banded, cells = part.cells[cell_of_root[order]], np.flatnonzero(inside_plain)
+    # Two ascending lists become one: each goes behind what the other has below it.
+    number = np.empty(len(roots), dtype=np.int64)
+    number[order] = place = np.arange(len(roots)) + np.searchsorted(cells, banded)
+    m = len(roots) + len(cells)
+    cell, whole, region = np.empty(m, np.int64), np.ones(m, dtype=bool), np.full(m, -1, np.int32)
+    away = np.ones(m, dtype=bool)
+    away[place] = False
+    cell[place], cell[away] = banded, cells
+    whole[number], region[away] = area == whole_area[cell_of_root], plain.region[cells]
+    of_face = np.full(len(inside_face), -1)
     of_face[faces] = number[fragment]
-    of_cell[cells] = number[len(roots) :]
-    cell, area = cell[order], area[order]
+    of_cell = np.where(inside_plain[part.cells], np.searchsorted(cell, part.cells), -1)
     return Fragments(
-        lattice, nodes, edges, arrangement, cell, area, area == whole_area[cell], of_face, of_cell,
+        lattice, part, nodes, edges, arrangement, cell, whole, region, of_face, of_cell,
         tags.grid_edge, tags.edge_forward, barrier, tags.curve, tags.piece, tags.curve_forward, loops,
     )  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mapbox_earcut
 import numpy as np
@@ -12,7 +13,7 @@ from phantomnode.geometry.arrangement import components
 from phantomnode.geometry.bilinear import to_local
 from phantomnode.geometry.cut import Fragments
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.grid import BackgroundGrid, chunks
 from phantomnode.geometry.noding import cross
 
 Floats = NDArray[np.float64]
@@ -121,52 +122,46 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
     count = len(fragments.cell)
     if count == 0:
         raise GeometryError("no cell of the background grid lies in the body: make its cells smaller")
-    quads = grid.quads[fragments.cell]
-    first, second, element_pairs = _merged_corners(fragments)
-    elements, grid_node = _numbered(quads, first, second)
-    xy = fragments.lattice.position(fragments.nodes)
+    near = np.flatnonzero(_in_part(fragments))
+    cells = np.searchsorted(fragments.part.cells, fragments.cell[near])
+    pairs = _shared_edges(fragments)
+    elements, grid_node = _numbered(grid, fragments, near, cells, pairs)
+    lattice = fragments.lattice
+    xy = lattice.position(lattice.snap(grid.position(grid_node)))
     triangles, triangle_element = _triangles(fragments)
-    diagonals = xy[quads[:, 2:]] - xy[quads[:, :2]]
-    cell_area = 0.5 * _cross(diagonals[:, 0], diagonals[:, 1])
+    cell_area = np.empty(count)
+    for rows in chunks(count):
+        a, b, c, d = np.moveaxis(xy[elements[rows]], 1, 0)
+        cell_area[rows] = 0.5 * _cross(c - a, d - b)
     cut_area = np.bincount(triangle_element, _areas(triangles), minlength=count)
     area = np.where(fragments.whole, cell_area, cut_area)
     return CutMesh(
-        xy=xy[grid_node],
+        xy=xy,
         grid_node=grid_node,
-        real=_real(fragments, quads, elements, len(grid_node)),
+        real=_real(fragments, elements, len(grid_node)),
         elements=elements,
         cell=fragments.cell,
         area=area,
         fraction=np.where(fragments.whole, 1.0, area / cell_area),
         cut=~fragments.whole,
-        component=components(count, element_pairs[:, 0], element_pairs[:, 1])[1],
+        component=_components(fragments, near, pairs),
         triangles=triangles,
         triangle_element=triangle_element,
-        segments=_boundary_segments(fragments, xy[quads]),
+        segments=_boundary_segments(fragments, xy, elements),
         notes=_resolution_notes(fragments, elements),
     )
 
 
-def _numbered(quads: Ints, first: Ints, second: Ints) -> tuple[Ints, Ints]:
-    """Nodes from corner slots of which the given pairs are one: (m, 4) elements, (n,) the grid node of each.
+class _SharedEdges(NamedTuple):
+    """Pieces of grid edges without a barrier: (k,) the edge, the elements on its left and right."""
 
-    Nodes stand in the order of the grid nodes, then of the elements: the same numbers whatever scipy does.
-    """
-    slots = quads.size
-    _, copy = components(slots, first, second)
-    representative = np.full(slots, slots)
-    np.minimum.at(representative, copy, np.arange(slots))
-    representative = representative[copy]
-    roots = np.flatnonzero(representative == np.arange(slots))
-    grid_of_root = quads.reshape(-1)[roots]
-    order = np.lexsort([roots, grid_of_root])
-    number = np.empty(slots, dtype=np.int64)
-    number[roots[order]] = np.arange(len(roots))
-    return number[representative].reshape(-1, 4), grid_of_root[order]
+    edge: Ints
+    left: Ints
+    right: Ints
 
 
-def _merged_corners(fragments: Fragments) -> tuple[Ints, Ints, Ints]:
-    """Pairs of corner slots (4 * element + corner) that are one node, and the pairs of elements joined."""
+def _shared_edges(fragments: Fragments) -> _SharedEdges:
+    """Where elements of the part of the grid near barriers share a piece of an edge."""
     edges = fragments.edges
     # Pieces of edges in the band, then whole edges between cells outside it.
     piece = np.flatnonzero((fragments.grid_edge >= 0) & ~fragments.barrier)
@@ -177,25 +172,99 @@ def _merged_corners(fragments: Fragments) -> tuple[Ints, Ints, Ints]:
     left = np.concatenate([np.where(forward, on_left, on_right), fragments.of_cell[edges.cell[far, 0]]])
     right = np.concatenate([np.where(forward, on_right, on_left), fragments.of_cell[edges.cell[far, 1]]])
     both = (left >= 0) & (right >= 0)
-    edge, left, right = edge[both], left[both], right[both]
-    start, back = edges.corner[edge, 0], edges.corner[edge, 1]
-    first = np.concatenate([4 * left + start, 4 * left + (start + 1) % 4])
-    second = np.concatenate([4 * right + (back + 1) % 4, 4 * right + back])
-    return first, second, np.column_stack([left, right])
+    return _SharedEdges(edge[both], left[both], right[both])
 
 
-def _real(fragments: Fragments, quads: Ints, elements: Ints, nodes: int) -> Bools:
+def _in_part(fragments: Fragments) -> Bools:
+    """(m,) Whether the cell of an element belongs to the part of the grid near barriers."""
+    near = fragments.region < 0
+    near[fragments.of_cell[fragments.of_cell >= 0]] = True
+    return near
+
+
+def _merged_corners(
+    fragments: Fragments, near: Ints, corners: Ints, shared: _SharedEdges
+) -> tuple[Ints, Ints]:
+    """Pairs of corner slots (4 * element + corner, elements counted among the near ones) that are one node.
+
+    ``corners`` (k, 4) are the nodes of these elements in the part. A node that is not near a curve, where cells
+    outside the part may stand, has only whole cells around it: all corners there are one node.
+    """
+    left, right = np.searchsorted(near, shared.left), np.searchsorted(near, shared.right)
+    start, back = fragments.edges.corner[shared.edge].T
+    slots = np.flatnonzero(~fragments.part.near[corners.reshape(-1)])
+    slots = slots[np.argsort(corners.reshape(-1)[slots], kind="stable")]
+    same = np.flatnonzero(np.diff(corners.reshape(-1)[slots]) == 0)
+    first = np.concatenate([4 * left + start, 4 * left + (start + 1) % 4, slots[same]])
+    second = np.concatenate([4 * right + (back + 1) % 4, 4 * right + back, slots[same + 1]])
+    return first, second
+
+
+def _numbered(
+    grid: BackgroundGrid, fragments: Fragments, near: Ints, cells: Ints, shared: _SharedEdges
+) -> tuple[Ints, Ints]:
+    """(m, 4) Nodes of all elements, and (n,) the grid node of each.
+
+    ``near`` are the elements in the part, ``cells`` their cells there. Nodes stand in the order of the grid
+    nodes, then of the elements: the same numbers whatever scipy does.
+    """
+    corners = fragments.part.grid.quads[cells]
+    first, second = _merged_corners(fragments, near, corners, shared)
+    slots = corners.size
+    _, copy = components(slots, first, second)
+    representative = np.full(slots, slots)
+    np.minimum.at(representative, copy, np.arange(slots))
+    representative = representative[copy]
+    roots = np.flatnonzero(representative == np.arange(slots))
+    grid_of_root = fragments.part.nodes[corners.reshape(-1)[roots]]
+
+    elements = np.empty((len(fragments.cell), 4), dtype=np.int64)
+    copies = np.zeros(grid.node_count, dtype=np.int32)
+    for rows in chunks(len(elements)):
+        elements[rows] = grid.corners(fragments.cell[rows])
+        copies[elements[rows]] = 1
+    copies[fragments.part.nodes] = 0
+    np.add.at(copies, grid_of_root, np.int32(1))
+    grid_node = np.repeat(np.arange(grid.node_count), copies)
+    number = np.cumsum(copies, dtype=np.int64) - copies
+    for rows in chunks(len(elements)):
+        elements[rows] = number[elements[rows]]
+
+    order = np.lexsort([roots, grid_of_root])
+    grid_of_root = grid_of_root[order]
+    rank = np.arange(len(roots)) - np.searchsorted(grid_of_root, grid_of_root)
+    number_of_root = np.empty(slots, dtype=np.int64)
+    number_of_root[roots[order]] = number[grid_of_root] + rank
+    elements[near] = number_of_root[representative].reshape(-1, 4)
+    return elements, grid_node
+
+
+def _components(fragments: Fragments, near: Ints, shared: _SharedEdges) -> Ints:
+    """(m,) The connected part of the body that each element belongs to, numbered by their first elements."""
+    regions = int(fragments.region.max(initial=-1)) + 1
+    plain = np.flatnonzero(fragments.region[near] >= 0)
+    first = np.concatenate([np.searchsorted(near, shared.left), plain])
+    second = np.concatenate([np.searchsorted(near, shared.right), len(near) + fragments.region[near[plain]]])
+    count, group = components(len(near) + regions, first, second)
+    component = group[len(near) :][fragments.region] if regions else np.zeros(len(fragments.cell), np.int64)
+    component[near] = group[: len(near)]
+    lowest = np.full(count, len(component))
+    lowest[component[::-1]] = np.arange(len(component))[::-1]  # what is written last stays
+    rank = np.empty(count, dtype=np.int64)
+    rank[np.argsort(lowest, kind="stable")] = np.arange(count)
+    return np.asarray(rank[component])
+
+
+def _real(fragments: Fragments, elements: Ints, nodes: int) -> Bools:
     """(nodes,) Whether a node stands in (or on the rim of) the material of one of its elements."""
     real = np.zeros(nodes, dtype=bool)
     real[elements[fragments.whole]] = True
-    points = {tuple(p): k for k, p in enumerate(fragments.nodes[np.unique(quads)].tolist())}
-    of_vertex = np.array([points.get(tuple(p), -1) for p in fragments.arrangement.vertices.tolist()])
-    grid_node = np.unique(quads)
     half = np.flatnonzero(fragments.of_face[fragments.arrangement.face] >= 0)
-    vertex = of_vertex[fragments.arrangement.origin[half]]
-    element, node = fragments.of_face[fragments.arrangement.face[half[vertex >= 0]]], vertex[vertex >= 0]
-    match = quads[element] == grid_node[node][:, None]
-    real[elements[element][match]] = True
+    element = fragments.of_face[fragments.arrangement.face[half]]
+    cell = np.searchsorted(fragments.part.cells, fragments.cell[element])
+    corner = fragments.nodes[fragments.part.grid.quads[cell]]  # (k, 4, 2)
+    vertex = fragments.arrangement.vertices[fragments.arrangement.origin[half]]
+    real[elements[element][np.all(corner == vertex[:, None], axis=2)]] = True
     return real
 
 
@@ -265,7 +334,7 @@ def _without_spikes(walk: Ints) -> Ints:
     return np.array(points, dtype=np.int64)
 
 
-def _boundary_segments(fragments: Fragments, corners: Floats) -> BoundarySegments:
+def _boundary_segments(fragments: Fragments, xy: Floats, elements: Ints) -> BoundarySegments:
     """One segment for each side of a barrier that carries material, unless it is a slit in one fragment."""
     arrangement = fragments.arrangement
     left, right = fragments.beside(True), fragments.beside(False)
@@ -279,7 +348,7 @@ def _boundary_segments(fragments: Fragments, corners: Floats) -> BoundarySegment
     start, end = arrangement.origin[half], arrangement.origin[half ^ 1]
     ends = fragments.positions[np.stack([start, end], axis=1)]
     element = inside[half]
-    local = to_local(np.repeat(corners[element], 2, axis=0), ends.reshape(-1, 2)).reshape(-1, 2, 2)
+    local = to_local(np.repeat(xy[elements[element]], 2, axis=0), ends.reshape(-1, 2)).reshape(-1, 2, 2)
     return BoundarySegments(
         ends=ends,
         element=element,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -21,6 +21,9 @@ Pair = tuple[float, float]
 
 MOST_CELLS = 50_000_000
 """More cells than this are a slip of the pen (a cell size in the wrong unit), not a model."""
+
+CHUNK = 1 << 18
+"""Rows of a long array that are worked on at a time, so that intermediate arrays stay small."""
 
 JOIN = 1e-6
 """Curves of a mapped grid meet where their ends are this close, in sizes of the whole."""
@@ -44,6 +47,50 @@ class BackgroundGrid:
     xy: Floats
     quads: Ints
     shape: tuple[int, int] | None = None
+
+    @property
+    def node_count(self) -> int:
+        """Number of nodes."""
+        return len(self.xy)
+
+    @property
+    def cell_count(self) -> int:
+        """Number of cells."""
+        return len(self.quads)
+
+    @property
+    def closed(self) -> bool:
+        """Whether the last row of cells of a structured grid joins the first (a full ring)."""
+        return self.shape is not None and self.node_count == (self.shape[0] + 1) * self.shape[1]
+
+    def position(self, nodes: Ints) -> Floats:
+        """(k, 2) Positions of some nodes, metres."""
+        return np.asarray(self.xy[nodes])
+
+    def corners(self, cells: Ints) -> Ints:
+        """(k, 4) Nodes of some cells, counter-clockwise."""
+        return np.asarray(self.quads[cells])
+
+    @cached_property
+    def box(self) -> Floats:
+        """(2, 2) Lower left and upper right corner of the bounding box, metres."""
+        return np.array([self.xy.min(axis=0), self.xy.max(axis=0)])
+
+    @cached_property
+    def cell_box(self) -> Floats:
+        """(2,) The largest extents of a cell along x and y, metres."""
+        return np.asarray(np.max([np.ptp(corners, axis=1).max(axis=0) for corners in self._cells()], axis=0))
+
+    @cached_property
+    def largest_step(self) -> Floats:
+        """(2,) The largest extents of a cell edge along x and y, metres."""
+        steps = (np.abs(np.roll(corners, -1, axis=1) - corners) for corners in self._cells())
+        return np.asarray(np.max([step.max(axis=(0, 1)) for step in steps], axis=0))
+
+    def _cells(self) -> Iterator[Floats]:
+        """(k, 4, 2) Corners of all cells, some at a time."""
+        for rows in chunks(self.cell_count):
+            yield self.position(self.corners(np.arange(rows.start, rows.stop)))
 
     @cached_property
     def edges(self) -> Ints:
@@ -77,7 +124,14 @@ class BackgroundGrid:
     @cached_property
     def cell_size(self) -> float:
         """Length of the longest cell edge, metres."""
-        return float(np.max(np.hypot(*(self.xy[self.edges[:, 1]] - self.xy[self.edges[:, 0]]).T)))
+        sides = (np.roll(corners, -1, axis=1) - corners for corners in self._cells())
+        return float(max(np.hypot(side[..., 0], side[..., 1]).max() for side in sides))
+
+
+def chunks(count: int) -> Iterator[slice]:
+    """Slices of at most ``CHUNK`` rows that make up the whole."""
+    for first in range(0, count, CHUNK):
+        yield slice(first, min(first + CHUNK, count))
 
 
 def cartesian(

@@ -50,8 +50,7 @@ class Lattice:
     @classmethod
     def of(cls, grid: BackgroundGrid) -> Lattice:
         """The lattice of a grid before relocation: nodes of a Cartesian grid are points of it."""
-        span = np.abs(grid.xy[grid.edges[:, 1]] - grid.xy[grid.edges[:, 0]]).max(axis=0)
-        return cls(grid.xy.min(axis=0), span / UNITS_PER_CELL)
+        return cls(grid.box[0], grid.largest_step / UNITS_PER_CELL)
 
     def snap(self, xy: Floats) -> Ints:
         """(k, 2) Nearest lattice points of (k, 2) positions."""

@@ -16,6 +16,7 @@ from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.grid import BackgroundGrid, scaled_jacobians
 from phantomnode.geometry.intersect import END_SLACK, distinct, intersections
 from phantomnode.geometry.levelset import LevelSet
+from phantomnode.geometry.near import near_part
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -92,6 +93,17 @@ def relocate(grid: BackgroundGrid, curves: Sequence[Curve], distance: float = 0.
     """
     if not 0.0 <= distance < 0.5:
         raise GeometryError(f"the relocation distance must be at least 0 and below 0.5 cells, not {distance}")
+    part = near_part(grid, curves)
+    local = _relocated(part.grid, curves, distance)
+    xy = grid.xy.copy()
+    xy[part.nodes] = local.grid.xy
+    moved, on_curve, feature = (np.full(grid.node_count, fill) for fill in (False, -1, False))
+    moved[part.nodes], on_curve[part.nodes], feature[part.nodes] = local.moved, local.on_curve, local.feature
+    return Relocation(replace(grid, xy=xy), moved, on_curve, feature)
+
+
+def _relocated(grid: BackgroundGrid, curves: Sequence[Curve], distance: float) -> Relocation:
+    """The nodes of the part of a grid near the curves."""
     h = np.where(np.isfinite(grid.node_size), grid.node_size, 0.0)  # a node of no cell stays
     points, owner = feature_points(curves)
     nearness = _nearness(grid, curves, h, distance)
