@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import meshio
 import numpy as np
 import pytest
@@ -43,17 +45,19 @@ def plate(folder, cells, half_width, **tables):
     )
 
 
-def opening(prepared, u):
-    """Places x along the crack and the jump of the normal displacement there, at the middles of its segments."""
+def opening(prepared, u, at=0.5):
+    """Places x along the crack and the jump of the normal displacement at the part ``at`` of each segment."""
     mesh = prepared.bodies[0].mesh
     faces = []
     for side in (1, -1):
         on = np.flatnonzero(mesh.segments.side == side)
-        here = 0.5 * (shape(mesh.segments.local[on, 0]) + shape(mesh.segments.local[on, 1]))
+        t = at if side == 1 else 1.0 - at  # the faces run against each other
+        here = (1.0 - t) * shape(mesh.segments.local[on, 0]) + t * shape(mesh.segments.local[on, 1])
         moved = np.einsum("si,sia->sa", here, u[mesh.elements[mesh.segments.element[on]]])
-        along = mesh.segments.ends[on, 1] - mesh.segments.ends[on, 0]
+        start, end = mesh.segments.ends[on, 0], mesh.segments.ends[on, 1]
+        along = end - start
         into = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
-        x = mesh.segments.ends[on].mean(axis=1)[:, 0]
+        x = ((1.0 - t) * start + t * end)[:, 0]
         order = np.argsort(x)
         faces.append((x[order], np.sum(moved * into, axis=1)[order]))
     np.testing.assert_allclose(faces[0][0], faces[1][0], atol=1e-9)
@@ -69,39 +73,65 @@ def sneddon(x):
     return 4.0 * (1.0 - NU**2) * STRESS / YOUNG * np.sqrt(np.maximum(1.0 - x**2, 0.0))
 
 
-def errors(x, found):
-    """Largest error (but for the last tenth at the tips), and that by mean square (all along), of the opening.
+class Miss(NamedTuple):
+    """How far an opening is from Sneddon's, but for ``square`` in parts of the largest opening.
 
-    The jump ends on the edge of a cell with a slope that is infinite in the closed form: half of the opening of
-    the last segment is missing at any cell size.
+    crossings: the largest at the cell edges that the crack crosses, tips included; square: the root of the mean
+    square at the middles of all segments, in parts of that of the opening; tip: the largest at the middles of the
+    two segments at the tips; chord: how far the middle of the straight line between two points of the closed
+    form is from it there.
     """
-    wrong = found - sneddon(x)
-    return np.abs(wrong[np.abs(x) < 0.9]).max() / sneddon(0.0), np.sqrt(
-        np.sum(wrong**2) / np.sum(sneddon(x) ** 2)
-    )
+
+    crossings: float
+    square: float
+    tip: float
+    chord: float
+
+
+def miss(prepared, u):
+    """The opening against the closed form from tip to tip."""
+    crossings = []
+    for end in (0.0, 1.0):
+        x, found = opening(prepared, u, end)
+        crossings.append(np.abs(found - sneddon(x)).max())
+    x, found = opening(prepared, u)
+    wrong, tips = found - sneddon(x), np.array([0, -1])
+    size = 1.0 - np.abs(x[tips])  # half a segment
+    chord = np.abs(0.5 * sneddon(1.0 - 2.0 * size) - sneddon(x[tips])).max()
+    square = np.sqrt(np.sum(wrong**2) / np.sum(sneddon(x) ** 2))
+    largest = np.array([max(crossings), np.abs(wrong[tips]).max(), chord]) / sneddon(0.0)
+    return Miss(largest[0], float(square), largest[1], largest[2])
 
 
 def test_a_crack_opens_as_in_the_closed_form(tmp_path):
-    """A plate of 32 x 32 half-lengths: being finite opens it by a few tenths of a percent (1 + 0.6 (a/W)^2)."""
-    sizes, mean_square = [1 / 10, 1 / 20, 1 / 40], []
+    """A plate of 32 x 32 half-lengths: being finite opens it by a few tenths of a percent (1 + 0.6 (a/W)^2).
+
+    Within 3 % of the largest opening at 40 cells a half-length at every cell edge that the crack crosses, from
+    tip to tip, and within 3 % by the mean square over the middles of all segments. Between two crossings the
+    jump is (bilinear) a straight line, and the square root at the tip is not: in the middle of the last segment a
+    line through the exact opening misses 0.207 sqrt(h/a), 4.6 %. There the miss may be 2 % more than that.
+    """
+    sizes, found = [1 / 10, 1 / 20, 1 / 40], []
     for cells in (10, 20, 40):
         prepared = plate(tmp_path, cells, 16.0)
         u = linear_equilibrium(prepared.model, [STRESS, -STRESS])
         left, load = (forces(prepared.model, at, [STRESS, -STRESS]) for at in (u, 0.0 * u))
         assert np.abs(left).max() < 2e-3 * np.abs(load).max()  # finite strain at the tips
-        x, found = opening(prepared, u)
-        assert len(x) == 2 * cells
-        largest, by_square = errors(x, found)
-        mean_square.append(by_square)
-    # Measured 5.4, 2.7, 1.3 %, largest 1.1 %: the square root at the tips leaves rate 1.
-    # The middle is right to 0.1 %.
-    assert rate(sizes, mean_square) > 0.9 and mean_square[-1] < 0.02 and largest < 0.02
-    assert found[cells] == pytest.approx(sneddon(x[cells]), rel=0.005)
+        found.append(miss(prepared, u))
+    x, jump = opening(prepared, u)
+    assert len(x) == 2 * cells and jump[cells] == pytest.approx(sneddon(x[cells]), rel=0.005)
+    # Measured: crossings 3.8, 2.7, 1.9 %; mean square 5.4, 2.7, 1.3 %; middle at the tip 11.3, 7.9, 5.6 %, of
+    # which the straight line makes 9.4, 6.6, 4.6 %. The middle of the crack is right to 0.1 %.
+    assert found[-1].crossings < 0.03 and found[-1].square < 0.03
+    assert all(each.tip < each.chord + 0.02 for each in found)
+    # The square root leaves rate 1/2 beside the tips, and rate 1 all along.
+    assert rate(sizes, [each.crossings for each in found]) > 0.45
+    assert rate(sizes, [each.square for each in found]) > 0.9
 
 
 @pytest.mark.slow
 def test_a_crack_opens_as_in_the_closed_form_in_an_explicit_run(tmp_path):
-    """The same by mass damping near the lowest mode: within 3 % all along at 40 cells a half-length."""
+    """The same by mass damping near the lowest mode, compared at the same places with the same bounds."""
     prepared = plate(
         tmp_path,
         40,
@@ -114,9 +144,9 @@ def test_a_crack_opens_as_in_the_closed_form_in_an_explicit_run(tmp_path):
     tally = Tally(prepared)
     ending, _ = march(prepared, [tally])
     assert ending.status == "done" and tally.last is not None
-    x, found = opening(prepared, tally.last.u)
-    largest, by_square = errors(x, found)
-    assert largest < 0.03 and by_square < 0.03 and tally.energy_error_max < 1e-3
+    found = miss(prepared, tally.last.u)
+    assert found.crossings < 0.03 and found.square < 0.03 and found.tip < found.chord + 0.02
+    assert tally.energy_error_max < 1e-3
 
 
 SHAPES = {
