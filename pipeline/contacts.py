@@ -204,9 +204,8 @@ def reported_pairs(case: Case, cut: dict[str, CutBody], passes: list[ContactPass
 
 def _segments_along(side: SlaveSide, count: int) -> tuple[Floats, Floats, Floats, Floats]:
     """Curve, middle along it, length, and length of the curve of the slave segments, (s,) each."""
-    place, weight = side.place.reshape(-1, count, 2), side.weight.reshape(-1, count)
-    middle = 0.5 * (place[:, 0, 1] + place[:, -1, 1])
-    return place[:, 0, 0], middle, weight.sum(axis=1), side.whole
+    length = side.weight.reshape(-1, count).sum(axis=1)
+    return side.place[::count, 0], side.half_way, length, side.whole
 
 
 def own_reach(case: Case, model: Model) -> tuple[Contact, tuple[str, ...]]:

@@ -52,8 +52,9 @@ class SlaveSide:
         Nodes, shape functions and reference length, m, of the slave points, segment by segment.
     place : (g, 2) float64
         Number of the curve on which each point lies and the distance along it, m.
-    whole : (s,) float64
-        Length of the curve of each segment, m; infinite where it is open.
+    half_way, whole : (s,) float64
+        Distance along its curve of the middle of each segment, and length of that curve, infinite where it is
+        open, m.
     middle : (g, 2) float64
         Middle of the segment of each point in the reference configuration, m, for messages.
     """
@@ -65,6 +66,7 @@ class SlaveSide:
     point_shape: Floats
     weight: Floats
     place: Floats
+    half_way: Floats
     whole: Floats
     middle: Floats
 
@@ -123,9 +125,10 @@ def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePo
     """The slave points on the segments of a surface."""
     mesh = body.mesh
     segments, chosen = mesh.segments, surface.segments
-    at, share = point_rule(points)
+    _, share = point_rule(points)
+    at = places_on(segments, chosen, points)
     parents, ends = segments.element[chosen], segments.ends[chosen]
-    places = np.einsum("g,sa->sga", 1.0 - at, ends[:, 0]) + np.einsum("g,sa->sga", at, ends[:, 1])
+    places = (1.0 - at)[:, :, None] * ends[:, None, 0] + at[:, :, None] * ends[:, None, 1]
     owners = np.repeat(mesh.elements[parents], points.count, axis=0)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     curve, along, whole = distance_along(segments)
@@ -140,9 +143,37 @@ def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePo
         place=np.column_stack(
             [np.repeat(curve[chosen], points.count), (start[:, None] + length[:, None] * at).reshape(-1)]
         ),
+        half_way=start + 0.5 * length,
         whole=whole[chosen],
         middle=np.repeat(ends.mean(axis=1), points.count, axis=0),
     )
+
+
+def places_on(segments: BoundarySegments, chosen: Ints, points: SlavePoints) -> Floats:
+    """(s, n) Places of the slave points on each of the chosen segments, in 0..1.
+
+    Where a segment ends at the tip of a crack, its points stand at the square root of their share t of its
+    length from there. The jump g of the faces is a straight line from zero at the tip to g1 at the first cell edge,
+    and its springs give the nodes of that edge eps L g1 sum(w t^2) = eps L g1/3, where half the pressure of the
+    segment is theirs to bear: the faces would overlap by up to 1.27 times what the pressure takes there, and the
+    next edges swing about it. Any rule has sum(w sqrt(t)^2) = 1/2, so that a uniform pressure p makes the overlap
+    p/eps at every edge but the tip; the body, which is stiff, can only lessen it. As the tip's nodes are common to
+    both faces, the springs are no stiffer than half a segment of any other is.
+    """
+    at = np.tile(point_rule(points)[0], (len(chosen), 1))
+    at_start, at_end = at_tips(segments)
+    at = np.where(at_start[chosen, None], np.sqrt(at), at)
+    return np.where(at_end[chosen, None], 1.0 - np.sqrt(1.0 - at), at)
+
+
+def at_tips(segments: BoundarySegments) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(s,) Whether each segment begins, and ends, at the tip of a crack: the boundary turns back on itself there."""
+    ends, first = segments.ends, np.flatnonzero(segments.following >= 0)
+    second = segments.following[first]
+    back = np.all(ends[first] == ends[second, ::-1], axis=(1, 2)) & (segments.side[first] != 0)
+    at_start, at_end = np.zeros((2, len(ends)), dtype=bool)
+    at_end[first[back]], at_start[second[back]] = True, True
+    return at_start, at_end
 
 
 def master_side(surface: Surface, body: CutBody, first_node: int, without: Ints) -> MasterSide:
