@@ -1,0 +1,46 @@
+"""Bytes that an element takes: in the arrays of the loop, and at the peak of preparation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from phantomnode.solver.leapfrog import initial_state
+from phantomnode.solver.search import prepare_search
+
+from .blocks import side_of, uniform_block, waves
+from .measure import Figure, Plan, python
+
+PEAK = """
+import sys
+from tests.benchmarks.blocks import uniform_block, waves
+from tests.benchmarks.stepping import started
+side = int(sys.argv[1])
+prepared = uniform_block(side)
+started(prepared, waves(prepared, side))(1)
+"""
+
+
+def memory(plan: Plan) -> Iterator[Figure]:
+    """Of a uniform block; the peak is that of a process that prepares it and takes a step."""
+    side = side_of(1e4, plan)
+    prepared = uniform_block(side)
+    search = prepare_search(prepared.model.contact)
+    state = initial_state(prepared.model, waves(prepared, side), search)
+    loop = nbytes((prepared.model, state, search)) / side**2
+    yield Figure("memory of the loop's arrays", None, loop, "bytes/element", "uniform block, 10k")
+    side = side_of(1e6, plan)
+    empty, full = (python("-c", PEAK, str(cells)).resident for cells in (4, side))
+    peak = (full - empty) / side**2
+    yield Figure(
+        "peak memory of a process", None, peak, "bytes/element", "uniform block, 1M; beyond a tiny one's"
+    )
+
+
+def nbytes(value: Any) -> int:
+    """Bytes of all arrays in nested tuples."""
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    return sum(nbytes(item) for item in value) if isinstance(value, tuple) else 0
