@@ -194,7 +194,9 @@ def contact_rates(model: Model) -> Floats:
     A point adds eps w to the stiffness of its slave and of its master side. (a - b)^2 <= (1 + q) a^2 + (1 + 1/q)
     b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. Rows of shape functions
     bound each side. Points over the master sides of a vertex weigh what these are long in the mean, and at most
-    one point more: a Gauss point lies within its share of the segment. Weak supports have one side only.
+    one point more: a Gauss point lies within its share of the segment. (Beside the tip of a crack it does not; but
+    the nodes of the tip are those of both faces, and what is left is the spring of half a segment at its other end.)
+    Weak supports have one side only.
     """
     contact, n = model.contact, len(model.mass)
     slave, master = np.zeros(n), np.zeros(n)
