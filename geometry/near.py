@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.geometry.curves import Curve
-from phantomnode.geometry.grid import BackgroundGrid, chunks
+from phantomnode.geometry.grid import BackgroundGrid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -79,11 +79,7 @@ def _near_nodes(grid: BackgroundGrid, curves: Sequence[Curve]) -> Bools:
             bins = first + (i, j)
             bins = bins[np.all(bins <= last, axis=1)]
             marked[bins[:, 0], bins[:, 1]] = True
-    near = np.empty(grid.node_count, dtype=bool)
-    for rows in chunks(grid.node_count):
-        i, j = np.floor((grid.position(np.arange(rows.start, rows.stop)) - low) / width).astype(np.int64).T
-        near[rows] = marked[i, j]
-    return near
+    return grid.in_bins(marked, low, width)
 
 
 def _touched(grid: BackgroundGrid, nodes: Bools) -> Bools:

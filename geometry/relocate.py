@@ -6,7 +6,9 @@ The cut then passes through the node and leaves no sliver, so no phantom node ha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +35,24 @@ QUALITY_LOSS = 0.8
 """A move may take a cell's least scaled Jacobian down to the floor or to this part of what it was."""
 
 
+class Fate(NamedTuple):
+    """What became of (k,) nodes.
+
+    Attributes
+    ----------
+    moved : bool
+        Whether a node has left its place (by more than 1e-9 h: rounding is mended without notice).
+    on_curve : int64
+        The curve on which it now lies (the first of several), -1 if none.
+    feature : bool
+        Whether it lies on a feature point: a sharp corner, a free end, a point common to two curves.
+    """
+
+    moved: Bools
+    on_curve: Ints
+    feature: Bools
+
+
 @dataclass(frozen=True)
 class Relocation:
     """A grid with relocated nodes.
@@ -41,18 +61,36 @@ class Relocation:
     ----------
     grid : BackgroundGrid
         Same cells, new node positions.
-    moved : (n,) bool
-        Whether each node has left its place (by more than 1e-9 h: rounding is mended without notice).
-    on_curve : (n,) int64
-        The curve on which each node now lies (the first of several), -1 if none.
-    feature : (n,) bool
-        Whether it lies on a feature point: a sharp corner, a free end, a point common to two curves.
+    nodes : (k,) int64
+        The nodes in the part of the grid near the curves, ascending.
+    fate : Fate
+        What became of them; all others stayed and are on no curve.
     """
 
     grid: BackgroundGrid
-    moved: Bools
-    on_curve: Ints
-    feature: Bools
+    nodes: Ints
+    fate: Fate
+
+    @cached_property
+    def moved(self) -> Bools:
+        """(n,) Whether each node of the grid has moved, as in :class:`Fate`."""
+        return self._of_all(self.fate.moved, False)
+
+    @cached_property
+    def on_curve(self) -> Ints:
+        """(n,) The curve on which each node now lies, as in :class:`Fate`."""
+        return self._of_all(self.fate.on_curve, -1)
+
+    @cached_property
+    def feature(self) -> Bools:
+        """(n,) Whether each node is on a feature point, as in :class:`Fate`."""
+        return self._of_all(self.fate.feature, False)
+
+    def _of_all(self, values: NDArray[Any], others: int | bool) -> NDArray[Any]:
+        """(n,) Values of the nodes near curves, and the one of all others."""
+        every = np.full(self.grid.node_count, others)
+        every[self.nodes] = values
+        return every
 
 
 @dataclass(frozen=True)
@@ -94,16 +132,13 @@ def relocate(grid: BackgroundGrid, curves: Sequence[Curve], distance: float = 0.
     if not 0.0 <= distance < 0.5:
         raise GeometryError(f"the relocation distance must be at least 0 and below 0.5 cells, not {distance}")
     part = near_part(grid, curves)
-    local = _relocated(part.grid, curves, distance)
-    xy = grid.xy.copy()
-    xy[part.nodes] = local.grid.xy
-    moved, on_curve, feature = (np.full(grid.node_count, fill) for fill in (False, -1, False))
-    moved[part.nodes], on_curve[part.nodes], feature[part.nodes] = local.moved, local.on_curve, local.feature
-    return Relocation(replace(grid, xy=xy), moved, on_curve, feature)
+    xy, fate = _relocated(part.grid, curves, distance)
+    away = np.any(xy != part.grid.xy, axis=1)
+    return Relocation(grid.moved(part.nodes[away], xy[away]), part.nodes, fate)
 
 
-def _relocated(grid: BackgroundGrid, curves: Sequence[Curve], distance: float) -> Relocation:
-    """The nodes of the part of a grid near the curves."""
+def _relocated(grid: BackgroundGrid, curves: Sequence[Curve], distance: float) -> tuple[Floats, Fate]:
+    """The nodes of the part of a grid near curves: (n, 2) where they go, metres, and what becomes of them."""
     h = np.where(np.isfinite(grid.node_size), grid.node_size, 0.0)  # a node of no cell stays
     points, owner = feature_points(curves)
     nearness = _nearness(grid, curves, h, distance)
@@ -123,7 +158,7 @@ def _relocated(grid: BackgroundGrid, curves: Sequence[Curve], distance: float) -
     on_curve[gone] = nearness.near[gone]
     on_curve[at_feature] = owner[taken[at_feature]]
     left = np.hypot(*(xy - grid.xy).T) > ON_CURVE * h
-    return Relocation(replace(grid, xy=xy), left, on_curve, at_feature)
+    return xy, Fate(left, on_curve, at_feature)
 
 
 def feature_points(curves: Sequence[Curve]) -> tuple[Floats, Ints]:

@@ -95,7 +95,7 @@ def cut_body(case: Case, name: str) -> CutBody:
     notes = tuple(
         f"body {name}: {note}" for note in (*notes, *mesh.notes, *_resolution(mesh, len(loops), interfaces))
     )
-    moved = int(np.count_nonzero(relocation.moved))
+    moved = int(np.count_nonzero(relocation.fate.moved))
     return CutBody(regions, tuple(interfaces), relocation.grid, moved, mesh, notes)
 
 

@@ -86,7 +86,7 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     added = [added_mass(body, prepared.model) for body in bodies]
     if any(added):
         yield row("of it added", "kg/m", [f"{mass:.3g}" for mass in added])
-    yield row("grid cells", "", [str(len(body.grid.quads)) for body in bodies])
+    yield row("grid cells", "", [str(body.grid.cell_count) for body in bodies])
     yield row("elements", "", [str(len(body.mesh.elements)) for body in bodies])
     yield row("cut", "", [str(np.count_nonzero(body.mesh.cut)) for body in bodies])
     yield row("cells doubled", "", [str(doubled_cells(body)) for body in bodies])

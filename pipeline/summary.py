@@ -189,7 +189,7 @@ def count(prepared: Prepared) -> dict[str, Any]:
     meshes = [body.mesh for body in prepared.bodies]
     grids = {id(body.grid): body for body in prepared.bodies}.values()
     return {
-        "grid_cells": sum(len(body.grid.quads) for body in grids),
+        "grid_cells": sum(body.grid.cell_count for body in grids),
         "elements": sum(len(mesh.elements) for mesh in meshes),
         "cut": sum(int(np.count_nonzero(mesh.cut)) for mesh in meshes),
         "doubled": sum(doubled_cells(body) for body in prepared.bodies),

@@ -173,3 +173,35 @@ def test_a_folded_cell_is_named_with_its_place():
 def test_check_refuses(xy, quads, message):
     with pytest.raises(GeometryError, match=message):
         check(BackgroundGrid(xy, quads))
+
+
+@pytest.mark.parametrize("moves", [0, 1, 30])
+def test_a_rectangular_grid_is_the_grid_of_its_nodes_and_cells(moves):
+    """It keeps its lines and its moved nodes alone; what it says is that of the same cells, to the bit."""
+    rng = np.random.default_rng(moves)
+    grid = cartesian((-0.3, 0.1), (1.0, 0.9), cell=(0.07, 0.11), aligned=False)
+    nodes = np.sort(rng.choice(len(grid.xy), moves, replace=False))
+    grid = grid.moved(nodes, grid.position(nodes) + rng.uniform(-0.02, 0.02, (moves, 2)))
+    again = nodes[: moves // 2]
+    grid = grid.moved(again, grid.position(again) + 0.001)
+    same = BackgroundGrid(grid.xy, grid.quads, grid.shape)
+    assert (
+        (grid.node_count, grid.cell_count)
+        == (same.node_count, same.cell_count)
+        == (len(grid.xy), len(grid.quads))
+    )
+    for what in (
+        "box",
+        "cell_box",
+        "largest_step",
+        "areas",
+        "node_size",
+        "typical_size",
+        "cell_size",
+        "edges",
+    ):
+        np.testing.assert_array_equal(getattr(grid, what), getattr(same, what), err_msg=what)
+    low, width = grid.box[0], grid.cell_box
+    marked = rng.random(np.floor((grid.box[1] - low) / width).astype(int) + 1) < 0.5
+    np.testing.assert_array_equal(grid.in_bins(marked, low, width), same.in_bins(marked, low, width))
+    np.testing.assert_array_equal(grid.corners(np.array([[3, 0], [7, 5]])), same.quads[[[3, 0], [7, 5]]])
