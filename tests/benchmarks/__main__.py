@@ -37,7 +37,7 @@ def everything(
     repeats
         Runs of which the median is taken; of whole processes at most 3.
     json
-        Write the figures to this file.
+        Write the figures to this file, one by one.
     against
         Show beside them those of such a file.
     """
@@ -57,8 +57,8 @@ def everything(
                 figures.append(figure)
                 table.add_row(rows, figure, before)
                 live.refresh()
-    if json:
-        table.write_json(json, figures)
+                if json:
+                    table.write_json(json, figures)
     return 0
 
 

@@ -49,6 +49,13 @@ def mapped_block(side: int) -> Prepared:
     return _prepared({"polygon": {"points": corners}}, {"kind": "mapped", "counts": [side, side], **sides})
 
 
+def disc_in_grid(side: int) -> Prepared:
+    """A disc that fills a hundredth of its grid of side x side cells."""
+    disc = {"circle": {"centre": [0.5, 0.5], "radius": math.sqrt(0.01 / math.pi)}}
+    grid = {"kind": "cartesian", "counts": [side, side], "aligned": True, "box": [[0.0, 0.0], [1.0, 1.0]]}
+    return _prepared(disc, grid)
+
+
 def _prepared(geometry: dict[str, Any], grid: dict[str, Any], **more: Any) -> Prepared:
     body = {"geometry": geometry, "grid": grid, "material": "soft"}
     table = {"time": {"end": 1.0}, "material": {"soft": MATERIAL}, "body": {"block": body}}

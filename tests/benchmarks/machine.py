@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
-
-from phantomnode.kernels import kernel
 
 from .measure import Figure, Plan, rate, repeated
 
@@ -20,14 +19,14 @@ LANES = 128
 """Numbers that are worked on at once: as many as fit the vector registers and hide the latency of an FMA."""
 
 
-@kernel
+@numba.njit(error_model="numpy")  # noqa: TID251 (compiled anew: it belongs to no package)
 def triad(a: Floats, b: Floats, c: Floats, factor: float) -> None:
     """a = b + factor c (McCalpin's STREAM)."""
     for i in range(len(a)):
         a[i] = b[i] + factor * c[i]
 
 
-@kernel(fastmath={"contract"})
+@numba.njit(error_model="numpy", fastmath={"contract"})  # noqa: TID251
 def multiply_add(x: Floats, rounds: int, factor: float, term: float) -> None:
     """x = factor x + term, over and over, on a few numbers."""
     for _ in range(rounds):

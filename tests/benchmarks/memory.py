@@ -11,7 +11,7 @@ from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.search import prepare_search
 
 from .blocks import side_of, uniform_block, waves
-from .measure import Figure, Plan, python
+from .measure import Figure, Plan, duration, python
 
 PEAK = """
 import sys
@@ -20,6 +20,12 @@ from tests.benchmarks.stepping import started
 side = int(sys.argv[1])
 prepared = uniform_block(side)
 started(prepared, waves(prepared, side))(1)
+"""
+
+SMALL = """
+import sys
+from tests.benchmarks.blocks import disc_in_grid
+disc_in_grid(int(sys.argv[1]))
 """
 
 
@@ -37,6 +43,15 @@ def memory(plan: Plan) -> Iterator[Figure]:
     yield Figure(
         "peak memory of a process", None, peak, "bytes/element", "uniform block, 1M; beyond a tiny one's"
     )
+
+
+def sparse(plan: Plan) -> Iterator[Figure]:
+    """A body in a hundredth of its grid: what preparation takes should be that of the body."""
+    cells = str(side_of(16e6, plan))
+    done = [python("-c", SMALL, cells) for _ in range(plan.processes)]
+    yield duration("prepare a disc in 1 % of 16M cells", [each.seconds for each in done], "whole process")
+    peak = max(each.resident for each in done) / 2**30
+    yield Figure("its peak memory", None, peak, "GiB", "whole process")
 
 
 def nbytes(value: Any) -> int:

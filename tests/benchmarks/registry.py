@@ -8,7 +8,7 @@ from .blocks import general, growth, uniform
 from .cutting import cutting, distance
 from .machine import ceilings
 from .measure import Figure, Plan
-from .memory import memory
+from .memory import memory, sparse
 from .runs import ring_impact, wavy_block
 from .startup import startup
 
@@ -22,6 +22,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         general,
         growth,
         memory,
+        sparse,
         distance,
         cutting,
         startup,

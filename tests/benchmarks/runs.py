@@ -47,18 +47,22 @@ def command_line(name: str, overrides: Sequence[str]) -> tuple[Process, dict[str
 
 
 def whole(name: str, overrides: Sequence[str], plan: Plan) -> Iterator[Figure]:
-    """The process, its loop, and the rate of element updates in the loop."""
-    runs, loops, updates = [], [], []
+    """The process, its loop, the rate of element updates in the loop, and what its output takes."""
+    runs, quiet, loops, updates = [], [], [], []
     for _ in range(plan.processes):
         process, summary = command_line(name, overrides)
         runs.append(process.seconds)
         loops.append(summary["step_loop_s"])
         updates.append(1e-6 * summary["element_updates_per_s"])
+        quiet.append(command_line(name, (*overrides, *QUIET))[0].seconds)
     counts = summary["counts"]
     note = f"{summary['steps']} steps, {counts['elements']} elements, {counts['cut']} of them cut"
     yield duration(f"{name}, whole process", runs, note)
     yield Figure(f"{name}, its loop", None, float(np.median(loops)), "s", "with its frames, without output")
     yield Figure(f"{name}, its loop", None, float(np.median(updates)), "M updates/s", "cut ones count as one")
+    shipped, least = medians(runs), medians(quiet)
+    part = (100.0 * (a - b) / a for a, b in zip(shipped, least, strict=True))
+    yield Figure(f"{name}, output", *part, "% of process", "as shipped, against two frames")
 
 
 def output_share(name: str, overrides: Sequence[str], plan: Plan) -> Figure:
