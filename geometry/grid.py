@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.errors import GeometryError
 
 Floats = NDArray[np.float64]
@@ -26,9 +24,6 @@ CHUNK = 1 << 18
 """Rows of a long array that are worked on at a time, so that intermediate arrays stay small."""
 
 NO_NODES, NOWHERE = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-
-JOIN = 1e-6
-"""Curves of a mapped grid meet where their ends are this close, in sizes of the whole."""
 
 
 def chunks(count: int) -> Iterator[slice]:
@@ -306,7 +301,7 @@ def cartesian(
     GeometryError
         For an empty box, sizes that are not positive, or more than ``MOST_CELLS`` cells.
     """
-    _require_finite("the box of the grid", (*low, *high))
+    require_finite("the box of the grid", (*low, *high))
     if not (low[0] < high[0] and low[1] < high[1]):
         raise GeometryError(f"the box of the grid is empty: low {low} must be below high {high} in x and y")
     if (cell is None) == (counts is None):
@@ -314,16 +309,16 @@ def cartesian(
     if counts is not None:
         if not aligned:
             raise GeometryError("counts need an aligned grid; give a cell size for one that is not aligned")
-        n_x, n_y = _counts(counts)
+        n_x, n_y = whole_counts(counts)
         x, y = np.linspace(low[0], high[0], n_x + 1), np.linspace(low[1], high[1], n_y + 1)
         return check(RectangularGrid(x, y))
     sizes = (cell, cell) if isinstance(cell, int | float) else cell
     assert sizes is not None
-    _require_finite("the cell size", sizes)
+    require_finite("the cell size", sizes)
     if len(sizes) != 2 or min(sizes) <= 0.0:
         raise GeometryError(f"the cell size must be positive (one number, or one for x and y), not {cell}")
     spans = [(b - a) / h for a, b, h in zip(low, high, sizes, strict=True)]
-    _require_cells((spans[0] + 2.0) * (spans[1] + 2.0))
+    require_cells((spans[0] + 2.0) * (spans[1] + 2.0))
     if aligned:
         # 1e-9: a box of 40.00000000001 cells, which is what decimal fractions give, has 40 of them.
         divided = (max(1, math.ceil(span - 1e-9)) for span in spans)
@@ -333,74 +328,6 @@ def cartesian(
         for a, b, h in zip(low, high, sizes, strict=True)
     )
     return check(RectangularGrid(x, y))
-
-
-def polar(
-    centre: Pair, radii: Pair, angles: Pair = (0.0, 360.0), *, counts: tuple[int, int]
-) -> BackgroundGrid:
-    """A ring or a part of one: the first direction is radial, the second runs counter-clockwise.
-
-    Parameters
-    ----------
-    centre : (x, y), metres
-    radii : (r0, r1), metres
-        0 < r0 < r1.
-    angles : (start, end), degrees
-        From x towards y; a span of 360 closes the ring, with no node twice.
-    counts : (n_r, n_theta)
-
-    Raises
-    ------
-    GeometryError
-        For radii or angles out of order, a full ring of fewer than three cells around, or bad counts.
-    """
-    _require_finite("a polar grid", (*centre, *radii, *angles))
-    if not 0.0 < radii[0] < radii[1]:
-        raise GeometryError(f"the radii of a polar grid must be 0 < r0 < r1, not {radii}")
-    span = angles[1] - angles[0]
-    if not 0.0 < span <= 360.0:
-        raise GeometryError(f"the angles of a polar grid must span more than 0 and at most 360, not {angles}")
-    n_r, n_theta = _counts(counts)
-    if span / n_theta >= 180.0:
-        raise GeometryError(f"{n_theta} cells around {span:g} degrees: each must span less than 180 degrees")
-    closed = span == 360.0
-    r = np.linspace(radii[0], radii[1], n_r + 1)
-    degrees = np.linspace(angles[0], angles[1], n_theta + 1)[: n_theta if closed else None]
-    theta = np.radians(degrees)
-    # Exactly on the axes at right angles.
-    direction = np.column_stack([np.cos(theta), np.sin(theta)])
-    direction = np.where(np.mod(degrees, 90.0)[:, None] == 0.0, np.round(direction), direction)
-    xy = np.asarray(centre) + r[None, :, None] * direction[:, None, :]
-    return check(BackgroundGrid(xy.reshape(-1, 2), _structured_quads(n_r, n_theta, closed), (n_r, n_theta)))
-
-
-def mapped(bottom: Curve, right: Curve, top: Curve, left: Curve, counts: tuple[int, int]) -> BackgroundGrid:
-    """A structured grid between four curves (transfinite interpolation, Gordon and Hall 1973).
-
-    Nodes are equally spaced along each curve; those on the outside lie on the curves.
-
-    Parameters
-    ----------
-    bottom, right, top, left : Curve
-        Open curves that meet at four corners, each run either way; counter-clockwise in this order.
-    counts : (int, int)
-        Cells along bottom and top, and along right and left.
-
-    Raises
-    ------
-    GeometryError
-        Where the curves do not meet, or the cells fold over.
-    """
-    n_u, n_v = _counts(counts)
-    bottom, right, top, left = _joined(bottom, right, top, left)
-    u, v = np.linspace(0.0, 1.0, n_u + 1), np.linspace(0.0, 1.0, n_v + 1)
-    b, t, r, w = (_spread(c, n) for c, n in ((bottom, u), (top, u), (right, v), (left, v)))
-    u1, v1 = u[None, :, None], v[:, None, None]
-    ruled = (1.0 - v1) * b[None] + v1 * t[None] + (1.0 - u1) * w[:, None] + u1 * r[:, None]
-    corners = (1.0 - v1) * ((1.0 - u1) * b[0] + u1 * b[-1]) + v1 * ((1.0 - u1) * t[0] + u1 * t[-1])
-    xy = ruled - corners
-    xy[:, 0], xy[:, -1], xy[0], xy[-1] = w, r, b, t
-    return check(BackgroundGrid(xy.reshape(-1, 2), _structured_quads(n_u, n_v), (n_u, n_v)))
 
 
 def check(grid: BackgroundGrid) -> BackgroundGrid:
@@ -447,70 +374,23 @@ def scaled_jacobians(xy: Floats, quads: Ints) -> Floats:
     return np.asarray(np.divide(cross, lengths, out=np.zeros_like(cross), where=lengths > 0.0))
 
 
-def _structured_quads(n_i: int, n_j: int, closed: bool = False) -> Ints:
-    """(n_i * n_j, 4) Cells of a structured grid, the first direction running fastest."""
-    j, i = (index.ravel() for index in np.mgrid[:n_j, :n_i])
-    row, above = j * (n_i + 1), (j + 1) * (n_i + 1)
-    if closed:
-        above %= n_j * (n_i + 1)
-    return np.column_stack([row + i, row + i + 1, above + i + 1, above + i]).astype(np.int64)
-
-
-def _joined(*curves: Curve) -> tuple[Curve, Curve, Curve, Curve]:
-    """Bottom, right, top, left, turned so that bottom and top run to the right, right and left upwards."""
-    names = ("bottom", "right", "top", "left")
-    for curve, name in zip(curves, names, strict=True):
-        if curve.closed:
-            raise GeometryError(f"the {name} curve of a mapped grid is closed; it must be open")
-    every = np.vstack([curve.points for curve in curves])
-    size = float(np.ptp(every, axis=0).max())
-    best: tuple[float, str, list[Curve]] | None = None
-    for turns in itertools.product((False, True), repeat=4):
-        b, r, t, w = turned = [c.reversed() if turn else c for c, turn in zip(curves, turns, strict=True)]
-        meets = {
-            "bottom and right": (b.points[-1], r.points[0]),
-            "right and top": (r.points[-1], t.points[-1]),
-            "top and left": (t.points[0], w.points[-1]),
-            "left and bottom": (w.points[0], b.points[0]),
-        }
-        gap, where = max((float(np.hypot(*(p - q))), name) for name, (p, q) in meets.items())
-        if best is None or gap < best[0]:
-            best = gap, where, turned
-    assert best is not None
-    if best[0] > JOIN * size:
-        raise GeometryError(
-            f"the curves of a mapped grid must meet at four corners: {best[1]} are {best[0]:.3g} m apart"
-        )
-    b, r, t, w = best[2]
-    return b, r, t, w
-
-
-def _spread(curve: Curve, fractions: Floats) -> Floats:
-    """(k, 2) Points at the given fractions of a curve's length; its ends exactly."""
-    until = np.concatenate([[0.0], np.cumsum(curve.lengths)])
-    target = fractions * until[-1]
-    piece = np.clip(np.searchsorted(until, target, side="right") - 1, 0, len(curve.bulges) - 1)
-    s = np.clip((target - until[piece]) / curve.lengths[piece], 0.0, 1.0)
-    points = curve.at(piece, s)
-    points[0], points[-1] = curve.points[0], curve.points[-1]
-    return points
-
-
-def _counts(counts: Sequence[int]) -> tuple[int, int]:
+def whole_counts(counts: Sequence[int]) -> tuple[int, int]:
     """Two whole numbers of cells, each at least 1, and not too many together."""
     if len(counts) != 2 or any(n != int(n) or n < 1 for n in counts):
         raise GeometryError(f"the counts of a grid must be two whole numbers from 1 on, not {tuple(counts)}")
-    _require_cells(float(counts[0]) * float(counts[1]))
+    require_cells(float(counts[0]) * float(counts[1]))
     return int(counts[0]), int(counts[1])
 
 
-def _require_cells(cells: float) -> None:
+def require_cells(cells: float) -> None:
+    """Refuse more than ``MOST_CELLS`` cells."""
     if cells > MOST_CELLS:
         raise GeometryError(
             f"the grid would have {cells:.3g} cells, more than {MOST_CELLS:.0e}; choose larger ones (units?)"
         )
 
 
-def _require_finite(what: str, numbers: Sequence[float]) -> None:
+def require_finite(what: str, numbers: Sequence[float]) -> None:
+    """Refuse numbers that are not finite."""
     if not all(math.isfinite(number) for number in numbers):
         raise GeometryError(f"{what} needs finite numbers, not {tuple(numbers)}")

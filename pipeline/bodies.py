@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.geometry import grid as grids
-from phantomnode.geometry import shapes
+from phantomnode.geometry import mapped, shapes
 from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.cut import cut
 from phantomnode.geometry.doubling import CutMesh, double
@@ -217,12 +217,12 @@ def _grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
         low, high = grid.box or (boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0))
         return grids.cartesian(low, high, cell=grid.spacing, counts=grid.counts, aligned=grid.aligned)
     if isinstance(grid, PolarGrid):
-        return grids.polar(grid.centre, radii=grid.radii, angles=grid.angles, counts=grid.counts)
+        return mapped.polar(grid.centre, radii=grid.radii, angles=grid.angles, counts=grid.counts)
     if isinstance(grid, MappedGrid):
         bottom, right, top, left = (
             _one_curve(case, side) for side in (grid.bottom, grid.right, grid.top, grid.left)
         )
-        return grids.mapped(bottom, right, top, left, grid.counts)
+        return mapped.mapped(bottom, right, top, left, grid.counts)
     assert isinstance(grid, FileGrid)
     return read_quads(case.path(grid.file), grid.unit)
 

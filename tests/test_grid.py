@@ -7,7 +7,8 @@ import pytest
 
 from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.grid import BackgroundGrid, cartesian, check, mapped, polar, scaled_jacobians
+from phantomnode.geometry.grid import BackgroundGrid, cartesian, check, scaled_jacobians
+from phantomnode.geometry.mapped import mapped, polar
 
 EPS = np.finfo(float).eps
 

@@ -11,9 +11,10 @@ from test_doubling import box, disc, line, square_grid
 from phantomnode.geometry.curves import Curve, Region
 from phantomnode.geometry.cut import cut
 from phantomnode.geometry.doubling import CutMesh, double
-from phantomnode.geometry.grid import BackgroundGrid, cartesian, polar
+from phantomnode.geometry.grid import BackgroundGrid, cartesian
 from phantomnode.geometry.inside import connected_in_rows
 from phantomnode.geometry.levelset import LevelSet
+from phantomnode.geometry.mapped import polar
 from phantomnode.geometry.near import near_part
 from phantomnode.geometry.noding import Lattice
 from phantomnode.geometry.relocate import relocate

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.grid import cartesian, polar, scaled_jacobians
+from phantomnode.geometry.grid import cartesian, scaled_jacobians
 from phantomnode.geometry.levelset import LevelSet
+from phantomnode.geometry.mapped import polar
 from phantomnode.geometry.relocate import QUALITY_FLOOR, QUALITY_LOSS, feature_points, relocate
 
 EPS = np.finfo(float).eps
