@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import ast
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks import measure, memory, runs, startup, table
+from benchmarks import measure, memory, runs, startup, table, versus_akantu
 from benchmarks.__main__ import app
 from benchmarks.blocks import mapped_block, uniform_block, waves
 from benchmarks.measure import Figure, Plan, Process, Seconds, clocked
 from benchmarks.registry import BENCHMARKS
 from benchmarks.stepping import expect_done, started
-from benchmarks.versus_akantu import SCRIPT
 
 from phantomnode.pipeline import cli
 from phantomnode.solver.explicit import frames
@@ -122,8 +123,46 @@ def test_akantus_side_needs_nothing_of_this_checkout() -> None:
     """It runs in an environment that holds Akantu, NumPy and no more."""
     imported = [
         name
-        for node in ast.walk(ast.parse(SCRIPT.read_text()))
+        for node in ast.walk(ast.parse(versus_akantu.SCRIPT.read_text()))
         if isinstance(node, ast.Import | ast.ImportFrom)
         for name in ([alias.name for alias in node.names] if isinstance(node, ast.Import) else [node.module])
     ]
     assert set(imported) == {"sys", "time", "akantu", "numpy"}
+
+
+SLOW_PROGRAM = """
+import sys, numpy
+side, folder = int(sys.argv[1]), sys.argv[2]
+assert numpy.load(folder + "/velocity.npy").shape == ((side + 1) ** 2, 2)
+assert "finite_deformation = true" in open(folder + "/material.dat").read()
+print("ready", flush=True)
+for line in sys.stdin:
+    print(int(line) * side**2 / 1000.0, 0.0, flush=True)
+"""
+"""Says that it updates 1000 elements a CPU second."""
+
+
+def test_rates_are_those_that_either_side_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "slow.py").write_text(SLOW_PROGRAM)
+    monkeypatch.setattr(versus_akantu, "SCRIPT", tmp_path / "slow.py")
+    monkeypatch.setattr(versus_akantu, "UPDATES", 8000.0)
+    theirs, ours, full = versus_akantu.rates(Path(sys.executable), 10, 3)
+    assert theirs == pytest.approx(1000.0) and min(ours, full) > 1e4
+
+
+def test_akantus_process_that_ends_early_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "empty.py").write_text("raise SystemExit(7)")
+    monkeypatch.setattr(versus_akantu, "SCRIPT", tmp_path / "empty.py")
+    with pytest.raises(RuntimeError, match="ended early, exit code 7"):
+        versus_akantu.Worker(Path(sys.executable), 2, tmp_path, np.zeros((9, 2)))
+
+
+def test_an_interpreter_without_akantus_wheel_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder whose Python runs but has no pip."""
+    python = tmp_path / "bin" / "python"
+    command = [sys.executable, "-m", "venv", "--without-pip", str(tmp_path)]
+    subprocess.run(command, check=True)
+    assert versus_akantu.compare([2], 1, tmp_path, python) == 2
+    assert "a CPython for which it has a wheel" in capsys.readouterr().err

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, Parameter
+from cyclopts.types import ExistingFile
 from cyclopts.validators import Number
 from rich.console import Console
 from rich.live import Live
@@ -26,7 +27,7 @@ def everything(
     only: Annotated[tuple[str, ...], Parameter(consume_multiple=True, negative=())] = (),
     repeats: Repeats = 5,
     json: Path | None = None,
-    against: Path | None = None,
+    against: ExistingFile | None = None,
 ) -> int:
     """Print the table of the product's own speed.
 
