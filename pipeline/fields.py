@@ -23,9 +23,9 @@ from phantomnode.pipeline.vtu import (
     VTK_LINE,
     VTK_QUAD,
     VTK_TRIANGLE,
-    Cells,
     Series,
     cells,
+    data_array,
     vectors,
     vtu_bytes,
 )
@@ -81,39 +81,46 @@ class Fields(Sampled):
 
     def __init__(self, prepared: Prepared, folder: Path, steps: frozenset[int]) -> None:
         super().__init__(steps)
-        self._prepared = prepared
-        self._fields = Series(folder / "fields.pvd")
-        self._contact = Series(folder / "contact.pvd") if prepared.pairs else None
-        self.clipped = ClippedBodies.of(prepared)
-        self._cells = cells((VTK_QUAD, self.clipped.quads), (VTK_TRIANGLE, self.clipped.triangles))
+        self._files: list[tuple[BodiesFile | ContactFile, Series]]
+        self._files = [(BodiesFile(prepared), Series(folder / "fields.pvd"))]
+        if prepared.pairs:
+            self._files.append((ContactFile(prepared), Series(folder / "contact.pvd")))
         self.peak: Frame | None = None
 
     def take(self, frame: Frame) -> None:
         """Write one frame; remember the one with the largest internal energy for a picture."""
-        self._fields.add(frame.time, fields_vtu(self._prepared, self.clipped, self._cells, frame))
-        if self._contact is not None:
-            self._contact.add(frame.time, contact_vtu(self._prepared, frame))
+        for file, series in self._files:
+            series.add(frame.time, file.vtu(frame))
         if self.peak is None or frame.energies.internal > self.peak.energies.internal:
             self.peak = frame
 
 
-def fields_vtu(prepared: Prepared, clipped: ClippedBodies, grid: Cells, frame: Frame) -> bytes:
-    """The content of one fields file."""
-    u = clipped.interpolate(frame.u)
-    state = cell_fields(prepared, clipped, frame.u)
-    xx, yy, zz, xy = state.cauchy.T
-    exx, eyy, exy = state.hencky.T
-    cell_data: Mapping[str, NDArray[np.generic]] = {
-        "stress": tensors(xx, yy, zz, xy),
-        "von_mises": state.von_mises,
-        "hencky_strain": tensors(exx, eyy, np.zeros_like(exx), exy),  # plane strain: zz is zero
-        "J": state.volume_ratio,
-        "body": clipped.body,
-        "side": clipped.side,
-        "fraction": clipped.fraction,
-    }
-    point_data = {"displacement": vectors(u), "velocity": vectors(clipped.interpolate(frame.v))}
-    return vtu_bytes(clipped.interpolate(prepared.model.x) + u, grid, point_data, cell_data, frame.time)
+class BodiesFile:
+    """The files of fields.pvd: what stays the same from one to the next is encoded once."""
+
+    def __init__(self, prepared: Prepared) -> None:
+        self._prepared = prepared
+        self._clipped = clipped = ClippedBodies.of(prepared)
+        self._cells = cells((VTK_QUAD, clipped.quads), (VTK_TRIANGLE, clipped.triangles))
+        self._start = clipped.interpolate(prepared.model.x)
+        labels = {"body": clipped.body, "side": clipped.side, "fraction": clipped.fraction}
+        self._labels = {name: data_array(name, values) for name, values in labels.items()}
+
+    def vtu(self, frame: Frame) -> bytes:
+        """The content of one file."""
+        u, v = self._clipped.interpolate(frame.u), self._clipped.interpolate(frame.v)
+        state = cell_fields(self._prepared, self._clipped, frame.u)
+        xx, yy, zz, xy = state.cauchy.T
+        exx, eyy, exy = state.hencky.T
+        cell_data: Mapping[str, NDArray[np.generic] | bytes] = {
+            "stress": tensors(xx, yy, zz, xy),
+            "von_mises": state.von_mises,
+            "hencky_strain": tensors(exx, eyy, np.zeros_like(exx), exy),  # plane strain: zz is zero
+            "J": state.volume_ratio,
+            **self._labels,
+        }
+        point_data = {"displacement": vectors(u), "velocity": vectors(v)}
+        return vtu_bytes(self._start + u, self._cells, point_data, cell_data, frame.time)
 
 
 class ContactLines(NamedTuple):
@@ -180,24 +187,32 @@ def _obstacle_lines(rigid: Rigid, x: Floats) -> ContactLines:
     return ContactLines(x[rigid.nodes][rigid.segments], nothing, nothing, none, np.full(count, np.nan), none)
 
 
-def contact_vtu(prepared: Prepared, frame: Frame) -> bytes:
-    """The content of one contact file: the slave segments of all pairs, ``pair`` counting from 0.
+class ContactFile:
+    """The files of contact.pvd: the slave segments of all pairs, ``pair`` counting from 0.
 
     Rigid obstacles follow as lines of the pair -1, so that they are seen.
     """
-    lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
-    lines += [_obstacle_lines(rigid, prepared.model.x + frame.u) for rigid in prepared.rigids]
-    pairs = len(prepared.pairs)
-    points = np.concatenate([pair.ends.reshape(-1, 2) for pair in lines])
-    cell_data = {
-        "pressure": np.concatenate([pair.pressure for pair in lines]),
-        "pressure_filtered": np.concatenate([pair.filtered for pair in lines]),
-        "traction": vectors(np.concatenate([pair.traction for pair in lines])),
-        "gap": np.concatenate([pair.gap for pair in lines]),
-        "normal": vectors(np.concatenate([pair.normal for pair in lines])),
-        "pair": np.concatenate(
-            [np.full(len(line.gap), k if k < pairs else -1) for k, line in enumerate(lines)]
-        ),
-    }
-    grid = cells((VTK_LINE, np.arange(len(points)).reshape(-1, 2)))
-    return vtu_bytes(points, grid, {}, cell_data, frame.time)
+
+    def __init__(self, prepared: Prepared) -> None:
+        self._prepared = prepared
+        counts = [len(pair.segment_nodes) for pair in prepared.pairs]
+        counts += [len(rigid.segments) for rigid in prepared.rigids]
+        numbers = [*range(len(prepared.pairs)), *(-1 for _ in prepared.rigids)]
+        self._cells = cells((VTK_LINE, np.arange(2 * sum(counts)).reshape(-1, 2)))
+        self._pair = data_array("pair", np.repeat(numbers, counts))
+
+    def vtu(self, frame: Frame) -> bytes:
+        """The content of one file."""
+        prepared = self._prepared
+        lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
+        lines += [_obstacle_lines(rigid, prepared.model.x + frame.u) for rigid in prepared.rigids]
+        ends, pressure, filtered, traction, gap, normal = map(np.concatenate, zip(*lines, strict=True))
+        cell_data: Mapping[str, NDArray[np.generic] | bytes] = {
+            "pressure": pressure,
+            "pressure_filtered": filtered,
+            "traction": vectors(traction),
+            "gap": gap,
+            "normal": vectors(normal),
+            "pair": self._pair,
+        }
+        return vtu_bytes(ends.reshape(-1, 2), self._cells, {}, cell_data, frame.time)

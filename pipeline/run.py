@@ -6,7 +6,7 @@ import shlex
 import signal
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phantomnode.pipeline.background import Background
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import Fields
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.history import History
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
 from phantomnode.pipeline.preflight import report, steps_of, text_report
-from phantomnode.pipeline.profile import ProfileWriter, draw_profiles, profile_steps, stations
+from phantomnode.pipeline.profile import ProfileWriter, Stations, draw_profiles, profile_steps, stations
 from phantomnode.pipeline.summary import Clock, Summary, highlights, summarize, verdict
 from phantomnode.pipeline.tally import Tally
 
@@ -77,8 +78,7 @@ def run(
     _make_folder(case, folder)
     log = RunLog(folder / "run.log", prepared, command)
     with ExitStack() as closing:
-        fields, observers, tally = _observers(prepared, folder, console, closing)
-        observers += [ProfileWriter(prepared, name, line, folder) for name, line in lines.items()]
+        fields, observers, tally = _observers(prepared, lines, folder, console, closing)
         ending, stepping = march(prepared, observers)
         for observer in observers:
             observer.finish(ending)
@@ -258,14 +258,21 @@ class RunLog:
 
 
 def _observers(
-    prepared: Prepared, folder: Path, console: Console | None, closing: ExitStack
+    prepared: Prepared,
+    lines: Mapping[str, Stations],
+    folder: Path,
+    console: Console | None,
+    closing: ExitStack,
 ) -> tuple[Fields, list[Observer], Tally]:
     """Everything that looks at the run; the tally first, so that it is complete whatever follows."""
     steps, output = steps_of(prepared), prepared.case.output
     tally = Tally(prepared)
     fields = Fields(prepared, folder, sample_steps(steps, output.fields.count))
     history = History(prepared, folder / "history.csv", sample_steps(steps, output.history.count))
-    observers: list[Observer] = [tally, history, fields]
+    profiles = [ProfileWriter(prepared, name, line, folder) for name, line in lines.items()]
+    writing = Background([fields, *profiles])
+    closing.callback(writing.close)
+    observers: list[Observer] = [tally, history, writing]
     if console is not None:
         from phantomnode.pipeline.progress import watcher
 

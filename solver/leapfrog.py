@@ -182,7 +182,7 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
         state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]
 
 
-@kernel
+@kernel(nogil=True)  # so that frames can be written meanwhile
 def advance(model: Model, state: State, search: Search, dt: float, increments: Floats) -> int:
     """Run one step for each row of increments; with none, only evaluate the forces.
 

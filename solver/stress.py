@@ -14,7 +14,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@kernel
+@kernel(nogil=True)  # frames are written beside the run
 def _point_stress(
     nodes: Ints, gradient: Floats, lame: Floats, shear: Floats, first: Ints, u: Floats
 ) -> tuple[Floats, Floats, Floats]:
