@@ -27,6 +27,13 @@ TIE = 1e-14
 """Relative difference of distances that rounding alone may cause."""
 
 
+NOWHERE = 1e150
+"""Where chords stand that belong to no piece: farther away than anything, with a square."""
+
+SLACK = 7
+"""Column of the slack of a chord."""
+
+
 class Closest(NamedTuple):
     """What is closest to each of n points.
 
@@ -118,8 +125,9 @@ class _Pieces(NamedTuple):
 
     ``vertex_*`` have one row for the start and one for the end, (n, 2, ...): the turn there (radians,
     unsigned), the sign of the points closest to it (0: by the side of the normal), the mean left normal.
-    ``boxes`` is a complete binary tree of bounding boxes (x0, y0, x1, y1): node i has the children 2i and
-    2i + 1, and the leaves, from ``len(boxes) // 2`` on, are the pieces, which follow each other in space.
+    ``chords`` is a complete binary tree of the pieces, which follow each other along their curves: node i has the
+    children 2i and 2i + 1, and the leaves, from ``len(chords) // 2`` on, are the pieces. Each row is a straight
+    segment (start, end, unit vector, length) and its slack: no piece below it is farther from the segment.
     """
 
     start: Floats
@@ -137,7 +145,7 @@ class _Pieces(NamedTuple):
     vertex_normal: Floats
     curve: Ints
     piece: Ints
-    boxes: Floats
+    chords: Floats
 
 
 def _pieces(curves: Sequence[Curve]) -> _Pieces:
@@ -151,6 +159,8 @@ def _pieces(curves: Sequence[Curve]) -> _Pieces:
     bent = bulge != 0.0
     centre = arc_centre(start, end, np.where(bent, bulge, 1.0))
     vertex = [_vertices(c) for c in curves]
+    # An arc leaves its chord by at most its sagitta, or its diameter beyond a semicircle.
+    reach = np.where(np.abs(bulge) <= 1.0, 0.5 * np.abs(bulge), 0.5 * (1.0 + bulge**2)) * chord
     return _Pieces(
         start=start,
         end=end,
@@ -167,7 +177,7 @@ def _pieces(curves: Sequence[Curve]) -> _Pieces:
         vertex_normal=np.concatenate([v[2] for v in vertex]),
         curve=np.repeat(np.arange(len(curves)), [len(c.bulges) for c in curves]),
         piece=np.concatenate([np.arange(len(c.bulges)) for c in curves]),
-        boxes=_box_tree(np.minimum(start, end), np.maximum(start, end), bulge, chord),
+        chords=_chord_tree(start, end, reach),
     )
 
 
@@ -191,18 +201,41 @@ def _vertices(curve: Curve) -> tuple[Floats, Floats, Floats]:
     return turn, sign, np.stack([-mean[..., 1], mean[..., 0]], axis=-1)
 
 
-def _box_tree(low: Floats, high: Floats, bulge: Floats, chord: Floats) -> Floats:
-    """(2 * leaves, 4) Tree of the bounding boxes; leaves is a power of two, empty ones are at infinity."""
-    # An arc leaves the box of its ends by at most its sagitta, or its diameter beyond a semicircle.
-    reach = np.where(np.abs(bulge) <= 1.0, 0.5 * np.abs(bulge), 0.5 * (1.0 + bulge**2)) * chord
-    leaves = 1 << (len(low) - 1).bit_length()
-    boxes = np.tile([np.inf, np.inf, -np.inf, -np.inf], (2 * leaves, 1))
-    boxes[leaves : leaves + len(low), :2] = low - reach[:, None]
-    boxes[leaves : leaves + len(low), 2:] = high + reach[:, None]
-    for i in range(leaves - 1, 0, -1):
-        boxes[i, :2] = np.minimum(boxes[2 * i, :2], boxes[2 * i + 1, :2])
-        boxes[i, 2:] = np.maximum(boxes[2 * i, 2:], boxes[2 * i + 1, 2:])
-    return boxes
+def _chord_tree(start: Floats, end: Floats, reach: Floats) -> Floats:
+    """(2 * leaves, 8) Tree of chords around (n,) pieces that stay within their reach of their chords, metres.
+
+    leaves is a power of two. A chord of chords stays as near to its pieces as its ends and those of its children
+    say: the distance from a segment is convex along another one.
+    """
+    leaves = 1 << (len(start) - 1).bit_length()
+    a, b, slack = np.full((leaves, 2), NOWHERE), np.full((leaves, 2), NOWHERE), np.zeros(leaves)
+    a[: len(start)], b[: len(start)], slack[: len(start)] = start, end, reach
+    levels = [_chords(a, b, slack)]
+    while len(a) > 1:
+        lone = a[1::2, 0] == NOWHERE
+        first, last = a[0::2], np.where(lone[:, None], b[0::2], b[1::2])
+        whole = _chords(first, last, np.zeros(len(first)))
+        off = np.stack([_off(whole, point[k::2]) for k in (0, 1) for point in (a, b)])
+        both = np.maximum(off[0::2], off[1::2]) + slack.reshape(-1, 2).T
+        a, b, slack = first, last, np.where(lone, both[0], both.max(axis=0))
+        levels.append(_chords(a, b, slack))
+    return np.concatenate([np.zeros((1, 8)), *levels[::-1]])
+
+
+def _chords(a: Floats, b: Floats, slack: Floats) -> Floats:
+    """(k, 8) Start, end, unit vector, length and slack of chords, the slack with room for rounding."""
+    length = np.hypot(*(b - a).T)
+    along = (b - a) / np.where(length > 0.0, length, 1.0)[:, None]
+    return np.column_stack([a, b, along, length, slack + TIE * (slack + length)])
+
+
+def _off(chords: Floats, points: Floats) -> Floats:
+    """(k,) Distances of (k, 2) points from chords."""
+    a, b = points - chords[:, :2], points - chords[:, 2:4]
+    (ex, ey), t = chords[:, 4:6].T, np.sum(a * chords[:, 4:6], axis=1)
+    inside = np.abs(ex * a[:, 1] - ey * a[:, 0])
+    outside = np.where(t <= 0.0, np.hypot(*a.T), np.hypot(*b.T))
+    return np.asarray(np.where((t <= 0.0) | (t >= chords[:, 6]), outside, inside))
 
 
 @kernel
@@ -212,10 +245,10 @@ def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, I
     distance, s = np.empty(n), np.empty(n)
     normal, point = np.empty((n, 2)), np.empty((n, 2))
     curve, piece = np.empty(n, np.int64), np.empty(n, np.int64)
-    guess, stack = 0, np.empty(64, np.int64)
+    guess, stack, waiting = 0, np.empty(64, np.int64), np.empty(64)
     for i in range(n):
         x, y = xy[i, 0], xy[i, 1]
-        guess, vertex, far = _nearest(pieces, x, y, guess, stack)
+        guess, vertex, far = _nearest(pieces, x, y, guess, stack, waiting)
         px, py, nx, ny, phi = _foot(pieces, guess, vertex, far, x, y)
         distance[i] = phi
         normal[i, 0], normal[i, 1] = nx, ny
@@ -226,7 +259,9 @@ def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, I
 
 
 @kernel
-def _nearest(pieces: _Pieces, x: float, y: float, guess: int, stack: Ints) -> tuple[int, int, float]:
+def _nearest(
+    pieces: _Pieces, x: float, y: float, guess: int, stack: Ints, waiting: Floats
+) -> tuple[int, int, float]:
     """Closest piece, its closest vertex (0 start, 1 end, -1 inside the piece), unsigned distance.
 
     Of features that are equally far the one with the smallest turn counts: a corner that touches the
@@ -234,34 +269,48 @@ def _nearest(pieces: _Pieces, x: float, y: float, guess: int, stack: Ints) -> tu
     """
     best = guess
     far, vertex, turn = _measure(pieces, best, x, y)
-    leaves = len(pieces.boxes) // 2
-    stack[0] = 1
-    top = 1
-    while top > 0:
-        top -= 1
-        i = stack[top]
-        if _box_distance(pieces.boxes, i, x, y) > far * (1.0 + TIE):
-            continue
-        if i < leaves:
+    limit = far * (1.0 + TIE)
+    chords, leaves = pieces.chords, len(pieces.chords) // 2
+    i, top = 1, 0
+    while True:
+        if i < leaves:  # on to the nearer child; the other waits, if it is near enough
             near, other = 2 * i, 2 * i + 1
-            if _box_distance(pieces.boxes, near, x, y) > _box_distance(pieces.boxes, other, x, y):
-                near, other = other, near
-            stack[top], stack[top + 1] = other, near
-            top += 2
+            d2, d2_other = _off2(chords, near, x, y), _off2(chords, other, x, y)
+            if d2_other < d2:
+                near, other, d2, d2_other = other, near, d2_other, d2
+            if d2_other <= (limit + chords[other, SLACK]) ** 2:
+                stack[top], waiting[top] = other, d2_other
+                top += 1
+            if d2 <= (limit + chords[near, SLACK]) ** 2:
+                i = near
+                continue
         elif i - leaves != best:
             d, v, t = _measure(pieces, i - leaves, x, y)
             tie = abs(d - far) <= TIE * far
             if (d < far and not tie) or (tie and (t < turn or (t == turn and i - leaves < best))):
                 best, far, vertex, turn = i - leaves, d, v, t
-    return best, vertex, far
+                limit = far * (1.0 + TIE)
+        while top > 0 and waiting[top - 1] > (limit + chords[stack[top - 1], SLACK]) ** 2:
+            top -= 1
+        if top == 0:
+            return best, vertex, far
+        top -= 1
+        i = stack[top]
 
 
 @kernel
-def _box_distance(boxes: Floats, i: int, x: float, y: float) -> float:
-    """Distance of a point from a box of the tree, infinite for an empty one."""
-    dx = max(boxes[i, 0] - x, x - boxes[i, 2], 0.0)
-    dy = max(boxes[i, 1] - y, y - boxes[i, 3], 0.0)
-    return np.sqrt(dx * dx + dy * dy)
+def _off2(chords: Floats, i: int, x: float, y: float) -> float:
+    """Square of the distance of a point from a chord of the tree."""
+    ax, ay = x - chords[i, 0], y - chords[i, 1]
+    ex, ey = chords[i, 4], chords[i, 5]
+    t = ax * ex + ay * ey
+    if t <= 0.0:
+        return ax * ax + ay * ay
+    if t >= chords[i, 6]:
+        bx, by = x - chords[i, 2], y - chords[i, 3]
+        return bx * bx + by * by
+    v = ex * ay - ey * ax
+    return v * v
 
 
 @kernel

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from phantomnode.geometry.curves import Curve, Region, arc_centre
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.levelset import LevelSet, _box_distance, _measure, _nearest, _pieces
+from phantomnode.geometry.levelset import SLACK, LevelSet, _measure, _nearest, _off2, _pieces
 
 EPS = np.finfo(float).eps
 ROUNDING = 1e-14
@@ -228,11 +228,11 @@ def test_the_jit_and_the_interpreter_agree():
             np.testing.assert_allclose(_measure(pieces, k, x, y), plain(pieces, k, x, y), rtol=1e-14)
 
 
-@pytest.mark.twin("levelset._measure", "levelset._nearest", "levelset._box_distance")
+@pytest.mark.twin("levelset._measure", "levelset._nearest", "levelset._off2")
 def test_distance_to_each_piece_and_the_nearest_of_them_agree_with_numpy():
-    """Lines and arcs, one beyond a semicircle; which vertex is nearest, the turn there, distances to boxes."""
+    """Lines and arcs, one beyond a semicircle; which vertex is nearest, the turn there, distances to chords."""
     curve = chain((0, 0), (1, 0), (1.5, 1), (0.3, 0.8), (-0.5, 1.2), bulges=[0.0, 1.7, -0.4, 0.02])
-    pieces, stack = _pieces([curve]), np.empty(64, np.int64)
+    pieces, stack, waiting = _pieces([curve]), np.empty(64, np.int64), np.empty(64)
     leave, arrive = curve.tangents
     turn = np.abs(np.arctan2(arrive[:-1, 0] * leave[1:, 1] - arrive[:-1, 1] * leave[1:, 0],
                              np.sum(arrive[:-1] * leave[1:], axis=1)))  # fmt: skip
@@ -249,13 +249,48 @@ def test_distance_to_each_piece_and_the_nearest_of_them_agree_with_numpy():
             assert at == vertex and d == pytest.approx(distance[k, i], rel=0, abs=1e-13)
             assert turned == pytest.approx(turn[k + vertex] if vertex >= 0 else 0.0, rel=0, abs=1e-13)
             seen[vertex] += 1
-        piece, _, far = _nearest(pieces, x, y, i % 4, stack)
+        piece, _, far = _nearest(pieces, x, y, i % 4, stack, waiting)
         assert far == pytest.approx(distance[:, i].min(), rel=0, abs=1e-13)
         assert distance[piece, i] == pytest.approx(far, rel=0, abs=1e-13)
-        beyond = np.maximum(np.maximum(pieces.boxes[1:, :2] - [x, y], [x, y] - pieces.boxes[1:, 2:]), 0.0)
-        boxes = [_box_distance(pieces.boxes, k, x, y) for k in range(1, len(pieces.boxes))]
-        np.testing.assert_allclose(boxes, np.hypot(*beyond.T), rtol=1e-13)
+        a, b = pieces.chords[1:, :2], pieces.chords[1:, 2:4]
+        t = np.clip(np.sum(([x, y] - a) * (b - a), axis=1) / np.sum((b - a) ** 2, axis=1), 0.0, 1.0)
+        off = [np.sqrt(_off2(pieces.chords, k, x, y)) for k in range(1, len(pieces.chords))]
+        np.testing.assert_allclose(off, np.hypot(*([x, y] - a - t[:, None] * (b - a)).T), rtol=0, atol=1e-13)
     assert np.all(seen > 50)
+
+
+def test_no_piece_is_farther_from_the_chords_above_it_than_they_say():
+    """Of lines, arcs and a loop of its own that is no neighbour, in a tree with places for eight pieces."""
+    bent = chain((0, 0), (1, 0), (1.5, 1), (0.3, 0.8), (-0.5, 1.2), bulges=[0.0, 1.7, -0.4, 0.02])
+    curves = [bent, circle(0.3, (5.0, 5.0), 2)]
+    pieces = _pieces(curves)
+    leaves = len(pieces.chords) // 2
+    assert leaves == 8
+    owners = [(curve, k) for curve in curves for k in range(len(curve.bulges))]
+    for leaf, (curve, k) in enumerate(owners):
+        points = curve.at(np.full(50, k), np.linspace(0.0, 1.0, 50))
+        node = leaves + leaf
+        while node > 0:
+            off = np.sqrt([_off2(pieces.chords, node, x, y) for x, y in points])
+            assert np.all(off <= pieces.chords[node, SLACK] + 1e-14)
+            node //= 2
+    empty = [_off2(pieces.chords, leaves + leaf, 0.0, 0.0) for leaf in (6, 7)]
+    assert np.all(np.array(empty) > 1e299)
+
+
+def test_many_pieces_have_the_distance_of_brute_force():
+    """A wavy outline of 2,000 segments with 300 in a hole: whatever the search leaves out is farther."""
+    rng = np.random.default_rng(2)
+    t, u = np.linspace(0, 2 * np.pi, 2001), np.linspace(2 * np.pi, 0, 301)
+    ring = (1.0 + 0.1 * np.cos(9 * t) + 0.002 * rng.random(2001))[:, None] * np.column_stack(
+        [np.cos(t), np.sin(t)]
+    )
+    hole = 0.4 * np.column_stack([np.cos(u), np.sin(2 * u) * 0.5])[:151]
+    ring[-1], hole[-1] = ring[0], hole[0]
+    region = Region(chain(*ring), (chain(*hole),))
+    xy = rng.uniform(-1.5, 1.5, (1000, 2))
+    phi = LevelSet.of_regions([region]).distance(xy)
+    np.testing.assert_allclose(np.abs(phi), brute(region.loops, xy), atol=1e-13)
 
 
 def test_pieces_without_length_and_no_regions_are_refused():
