@@ -121,7 +121,7 @@ def _one_pass(
     else:
         other = cut[master.body]
         without = slave.segments if slave.body == master.body and not own else np.zeros(0, dtype=np.int64)
-        segments = master_side(master, other, first_node[master.body], without)
+        segments = master_side(master, other, first_node[master.body], without, table.points)
         cells = [body.grid.cell_size, other.grid.cell_size]
     penalty = _penalty(case, table, cut) / table_share(table)
     points = slave_side(slave, body, first_node[slave.body], table.points)

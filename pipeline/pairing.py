@@ -13,7 +13,7 @@ from phantomnode.geometry.doubling import BoundarySegments
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import SlavePoints
 from phantomnode.pipeline.surfaces import Surface, closed_surface
-from phantomnode.pipeline.traces import traces
+from phantomnode.pipeline.traces import balanced, traces
 from phantomnode.solver.model import Contact
 
 Floats = NDArray[np.float64]
@@ -130,6 +130,8 @@ def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePo
     parents, ends = segments.element[chosen], segments.ends[chosen]
     places = (1.0 - at)[:, :, None] * ends[:, None, 0] + at[:, :, None] * ends[:, None, 1]
     owners = np.repeat(mesh.elements[parents], points.count, axis=0)
+    point_shape = shape(to_local(mesh.xy[owners], places.reshape(-1, 2))).reshape(-1, points.count, 4)
+    point_shape = balanced(point_shape, mesh.xy[mesh.elements[parents]], ends, at, share)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     curve, along, whole = distance_along(segments)
     start = along[chosen]
@@ -138,7 +140,7 @@ def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePo
         start=shape(segments.local[chosen, 0]),
         end=shape(segments.local[chosen, 1]),
         points=owners + first_node,
-        point_shape=shape(to_local(mesh.xy[owners], places.reshape(-1, 2))),
+        point_shape=point_shape.reshape(-1, 4),
         weight=(length[:, None] * share).reshape(-1),
         place=np.column_stack(
             [np.repeat(curve[chosen], points.count), (start[:, None] + length[:, None] * at).reshape(-1)]
@@ -176,16 +178,20 @@ def at_tips(segments: BoundarySegments) -> tuple[NDArray[np.bool_], NDArray[np.b
     return at_start, at_end
 
 
-def master_side(surface: Surface, body: CutBody, first_node: int, without: Ints) -> MasterSide:
+def master_side(
+    surface: Surface, body: CutBody, first_node: int, without: Ints, points: SlavePoints
+) -> MasterSide:
     """The segments of a surface, closed around its ends (see :func:`closed_surface`).
 
-    They are divided where shape functions are not linear along them (:mod:`phantomnode.pipeline.traces`).
+    They are divided where shape functions are not linear along them (:mod:`phantomnode.pipeline.traces`), for
+    slave points by the rule given.
     """
     mesh, segments = body.mesh, body.mesh.segments
     closed = closed_surface(segments, surface.segments, without)
     number = np.full(len(segments.ends) + 1, -1)  # the last stands for "no neighbour"
     number[closed] = np.arange(len(closed))
-    pieces = traces(mesh, closed, number[segments.following[closed]])
+    places, share = places_on(segments, closed, points), point_rule(points)[1]
+    pieces = traces(mesh, closed, number[segments.following[closed]], places, share)
     owner = closed[pieces.segment]
     curve, along, whole = distance_along(segments)
     length = np.hypot(*(segments.ends[owner, 1] - segments.ends[owner, 0]).T)

@@ -22,6 +22,7 @@ from physics import (
     total_energy,
 )
 from scipy.optimize import brentq
+from statics import forces
 
 PENALTY = 100.0 * YOUNG
 RAMP, HOLD = 0.025, 0.015
@@ -40,6 +41,12 @@ def squeezed(interfaces):
     -------
     force, N/m; pressure, Pa, per current length.
     """
+    force, s, side = squeezed_state(interfaces)
+    return force, force / side
+
+
+def squeezed_state(interfaces):
+    """Force, N/m, and the stretches along and across it."""
 
     def across(s):
         return s ** (-LAME / (LAME + 2.0 * SHEAR))
@@ -49,22 +56,32 @@ def squeezed(interfaces):
         return -tau / s
 
     s = brentq(lambda s: 0.1 - (1.0 - s) - interfaces * force(s) / PENALTY, 0.9, 0.99)
-    return force(s), force(s) / across(s)
+    return force(s), s, across(s)
 
 
-def pressed(bodies, contact, bottom, top, **more):
+def pressed(*tables, **more):
+    """The case between platens, and its frames of the hold."""
+    prepared = pressed_case(*tables, **more)
+    return prepared, held_frames(prepared, RAMP)
+
+
+def pressed_case(bodies, contact, bottom, top, **more):
     """The bodies between platens without friction; the upper one comes down by 0.1 m and stays."""
     boundary = {
         "below": {"on": bottom, "displacement": {"y": 0.0}},
         "above": {"on": top, "displacement": {"y": smooth(-0.1, RAMP)}},
     }
-    prepared = prepared_case(bodies, RAMP + HOLD, contact=contact, boundary=boundary, **more)
-    return prepared, held_frames(prepared, RAMP)
+    return prepared_case(bodies, RAMP + HOLD, contact=contact, boundary=boundary, **more)
 
 
 def split_block(counts, y):
+    prepared = split_block_case(counts, y)
+    return prepared, held_frames(prepared, RAMP)
+
+
+def split_block_case(counts, y):
     """A unit block that a straight interface splits."""
-    return pressed(
+    return pressed_case(
         {"block": rectangle((0.0, 0.0), (1.0, 1.0), cartesian(1.0 / counts))},
         {"mid": {"slave": "mid_line.plus", "master": "mid_line.minus", **PAIR_100E}},
         "block.bottom",
@@ -89,19 +106,40 @@ def stacked(heights, grids, **pair):
     return pressed(bodies, contact, "b0.bottom", f"b{len(heights) - 1}.top", grid=shared)
 
 
-@pytest.mark.parametrize(("counts", "y"), [(11, 0.5), (10, 0.5), (10, 0.5137)])
+MATCHING = [(11, 0.5), (10, 0.5), (10, 0.5137), (10, 0.4863)]
+"""Cells a side, and the height of the interface: in the cells, on a grid line, off it with relocated corners."""
+
+
+@pytest.mark.parametrize(("counts", "y"), MATCHING)
+def test_the_closed_form_is_the_equilibrium_of_matching_sides(counts, y):
+    """Put at the closed form, no free node is pushed: 1e-12 of the pressure on a cell.
+
+    Crooked corner cells included: their slave points and masters have the integrals of the shape functions.
+    """
+    prepared = split_block_case(counts, y)
+    model, mesh = prepared.model, prepared.bodies[0].mesh
+    force, s, side = squeezed_state(1)
+    upper = np.zeros(len(model.x), dtype=bool)
+    upper[
+        mesh.elements[mesh.component == mesh.component[np.argmax(model.x[mesh.elements].mean(axis=1)[:, 1])]]
+    ] = True
+    u = np.column_stack([(side - 1.0) * model.x[:, 0], (s - 1.0) * model.x[:, 1] - upper * force / PENALTY])
+    pushed = np.where(model.channel < 0, forces(model, u), 0.0)
+    assert np.abs(pushed).max() < 1e-12 * force / counts
+
+
+@pytest.mark.parametrize(("counts", "y"), MATCHING)
 def test_split_block_is_the_closed_form_on_matching_sides(counts, y):
-    """In the cells, on a grid line, and off the middle: the uniform state is in the space, so 1e-5 (what rings).
+    """In the cells, on a grid line, and off it: the uniform state is the equilibrium, so 1e-5 (what rings).
 
     1.268298e9 N/m and 1.213003e9 Pa is the same with a penalty per current length; 6e-4 off, below the 1e-3 asked.
-    Off the middle the corner cells are relocated, and the master follows them to 5e-4 of a nodal force, of
-    which the stiff penalty makes 2e-3 of the pressure there.
+    Where corner cells are relocated, 5e-4: a phantom node hangs on a sliver there and rings longer than the rest.
     """
     prepared, held = split_block(counts, y)
     force, pressure = squeezed(1)
     assert mean_force(held)[1] == pytest.approx(force, rel=1e-5)
     assert force == pytest.approx(1.268298e9, rel=1e-3)
-    rough = 3e-3 if prepared.bodies[0].relocated else 1e-5
+    rough = 5e-4 if prepared.bodies[0].relocated else 1e-5
     np.testing.assert_allclose(mean_pressure(prepared, held)[1], pressure, rtol=rough)
     assert pressure == pytest.approx(1.213003e9, rel=1e-3)
     reactions = np.mean([frame.reaction for frame in held], axis=0)
@@ -154,7 +192,7 @@ def test_several_pairs_at_once_carry_the_same_force():
 
 
 @pytest.mark.parametrize(
-    ("left", "right", "rough"), [(0.45, 0.55, 5e-3), (0.3, 0.7, 1e-2), (0.02, 0.93, 5e-2)], ids=str
+    ("left", "right", "rough"), [(0.45, 0.55, 1e-3), (0.3, 0.7, 4e-3), (0.02, 0.93, 4e-2)], ids=str
 )
 def test_slanted_interface_carries_a_hydrostatic_state(left, right, rough):
     """Compressed by the same stretch in x and y, a slanted frictionless interface leaves the state uniform.
