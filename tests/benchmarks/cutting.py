@@ -22,7 +22,7 @@ from .measure import Figure, Plan, clocked, duration, repeated
 
 Floats = NDArray[np.float64]
 
-LOBES, MEAN, DEPTH = 17, 0.36, 0.11
+LOBES, MEAN, DEPTH = 20, 0.36, 0.11
 """A flower in the unit square, m; its outline runs through 1e4 cells of a grid of 1e6."""
 
 

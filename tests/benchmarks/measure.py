@@ -101,10 +101,9 @@ def duration(name: str, runs: Sequence[Seconds], note: str = "") -> Figure:
 
 
 class Process(NamedTuple):
-    """A child process that has ended: what it took, its largest resident memory, bytes, what it printed."""
+    """A child process that has ended: what it took, what it printed."""
 
     seconds: Seconds
-    resident: int
     output: str
 
 
@@ -131,4 +130,4 @@ def python(*arguments: str, program: str = sys.executable) -> Process:
     wall = time.perf_counter() - began
     if child.returncode:
         raise subprocess.CalledProcessError(child.returncode, command, output)
-    return Process(Seconds(usage.ru_utime + usage.ru_stime, wall), usage.ru_maxrss * 1024, output)
+    return Process(Seconds(usage.ru_utime + usage.ru_stime, wall), output)

@@ -47,19 +47,17 @@ def command_line(name: str, overrides: Sequence[str]) -> tuple[Process, dict[str
 
 
 def whole(name: str, overrides: Sequence[str], plan: Plan) -> Iterator[Figure]:
-    """The process, its loop, the rate of element updates in the loop, and what its output takes."""
-    runs, quiet, loops, updates = [], [], [], []
+    """The process, its loop, and what its output takes."""
+    runs, quiet, loops = [], [], []
     for _ in range(plan.processes):
         process, summary = command_line(name, overrides)
         runs.append(process.seconds)
         loops.append(summary["step_loop_s"])
-        updates.append(1e-6 * summary["element_updates_per_s"])
         quiet.append(command_line(name, (*overrides, *QUIET))[0].seconds)
     counts = summary["counts"]
     note = f"{summary['steps']} steps, {counts['elements']} elements, {counts['cut']} of them cut"
     yield duration(f"{name}, whole process", runs, note)
     yield Figure(f"{name}, its loop", None, float(np.median(loops)), "s", "with its frames, without output")
-    yield Figure(f"{name}, its loop", None, float(np.median(updates)), "M updates/s", "cut ones count as one")
     shipped, least = medians(runs), medians(quiet)
     part = (100.0 * (a - b) / a for a, b in zip(shipped, least, strict=True))
     yield Figure(f"{name}, output", *part, "% of process", "as shipped, against two frames")
@@ -77,7 +75,7 @@ def output_share(name: str, overrides: Sequence[str], plan: Plan) -> Figure:
 
 
 def shares(name: str, overrides: Sequence[str], step: Sequence[str], plan: Plan) -> Iterator[Figure]:
-    """The parts of the loop [a], at some instants of the run.
+    """The rate of element updates in the loop and the loop's parts [a], at some instants of the run.
 
     ``step`` are overrides of the time step with which the run is led to these instants.
     """
@@ -85,6 +83,9 @@ def shares(name: str, overrides: Sequence[str], step: Sequence[str], plan: Plan)
     frames_at = instants(prepare(load_case(name, [*overrides, *step])))
     steps = plan.sized(LOOKED_AT, least=2)
     costs = np.mean([part_costs(prepared, frame.state, steps, plan) for frame in frames_at], axis=0)
+    model = prepared.model
+    updates = 1e-6 * steps * (len(model.elements.nodes) + len(model.cut_elements.nodes)) / float(costs[0])
+    yield Figure(f"{name}, its loop", updates, None, "M updates/s", "[a]; cut elements count as one")
     parts = 100.0 * np.append(costs[:-1] - costs[1:], costs[-1]) / costs[0]
     for label, part in zip(PARTS, parts, strict=True):
         yield Figure(f"{name}, {label}", float(part), None, "% of loop", "[a]")
