@@ -35,6 +35,8 @@ class ClippedBodies:
         Nodes of the model that carry each point.
     weights : (p, 4) float64
         Their shape functions at the point; they sum to 1.
+    on_nodes : int
+        So many points, the first ones, stand on a node each: the first of their four.
     quads : (q, 4) int64
         Points of each uncut element, counter-clockwise.
     triangles : (t, 3) int64
@@ -47,6 +49,7 @@ class ClippedBodies:
 
     nodes: Ints
     weights: Floats
+    on_nodes: int
     quads: Ints
     triangles: Ints
     body: Ints
@@ -74,6 +77,7 @@ class ClippedBodies:
         return cls(
             nodes=np.vstack([np.repeat(used[:, None], 4, axis=1), nodes[~single][between]]),
             weights=np.vstack([at_nodes, weights[~single][between]]),
+            on_nodes=len(used),
             quads=point_of_node[quads].reshape(-1, 4),
             triangles=corner.reshape(-1, 3),
             body=body,
@@ -83,7 +87,9 @@ class ClippedBodies:
 
     def interpolate(self, nodal: Floats) -> Floats:
         """(p, k) Values at the points from (n, k) values at the nodes of the model."""
-        return np.asarray(np.einsum("pi,pik->pk", self.weights, nodal[self.nodes]))
+        between = slice(self.on_nodes, None)
+        inner = np.einsum("pi,pik->pk", self.weights[between], nodal[self.nodes[between]])
+        return np.concatenate([nodal[self.nodes[: self.on_nodes, 0]], inner])
 
     def per_cell(self, uncut: Floats, points: Floats) -> Floats:
         """(q + t, ...) One value a cell from uncut elements, (q, ...), and integration points, (3 t, ...).

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from phantomnode.pipeline.clip import ClippedBodies
 from phantomnode.pipeline.contacts import Pair
-from phantomnode.pipeline.observer import Sampled
+from phantomnode.pipeline.observer import Ending, Sampled
 from phantomnode.pipeline.prepare import Floats, Prepared
 from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.vtu import (
@@ -93,6 +93,12 @@ class Fields(Sampled):
             series.add(frame.time, file.vtu(frame))
         if self.peak is None or frame.energies.internal > self.peak.energies.internal:
             self.peak = frame
+
+    def finish(self, ending: Ending) -> None:
+        """Write the last frame where it is not there yet; then all of them are on the disk."""
+        super().finish(ending)
+        for _, series in self._files:
+            series.reach_disk()
 
 
 class BodiesFile:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from pathlib import Path
 
 
-def write_atomically(path: Path, content: bytes | str) -> None:
+def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) -> None:
     """Write a file so that no reader ever meets a part of it.
 
     The bytes go to a temporary name in the same folder, reach the disk, and take the final name in one step
@@ -20,6 +20,9 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         The file; its folder must exist.
     content : bytes or str
         Everything that it will hold.
+    durable : bool
+        Wait for the disk. Without that the file is whole for every reader, but a power cut may empty it until
+        :func:`reach_disk`.
 
     Raises
     ------
@@ -27,21 +30,26 @@ def write_atomically(path: Path, content: bytes | str) -> None:
         Where the folder is missing or not writable, or the disk is full.
     """
     data = content.encode() if isinstance(content, str) else content
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    part = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with open(part, "xb") as file:
             file.write(data)
             file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o666 & ~_umask())  # mkstemp makes it private
-        os.replace(name, path)
+            if durable:
+                os.fsync(file.fileno())
+        os.replace(part, path)
     except BaseException:
-        Path(name).unlink(missing_ok=True)
+        part.unlink(missing_ok=True)
         raise
 
 
-def _umask() -> int:
-    """The permissions that new files are denied; reading them needs a write and a write back."""
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
+def reach_disk(path: Path) -> None:
+    """Wait until the disk holds what a file has in memory.
+
+    Raises
+    ------
+    OSError
+        Where the file is missing, or the disk cannot hold it.
+    """
+    with open(path, "rb+") as file:
+        os.fsync(file.fileno())

@@ -14,12 +14,13 @@ from base64 import b64encode
 from collections.abc import Mapping
 from html import escape
 from pathlib import Path
+from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.files import reach_disk, write_atomically
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,6 +30,10 @@ VTK_LINE, VTK_TRIANGLE, VTK_QUAD = 3, 5, 9
 
 TYPES = {"<f4": "Float32", "<i4": "Int32", "|u1": "UInt8"}
 """VTK's names of the types that are stored."""
+
+
+SMALL = 1 << 16
+"""Arrays up to so many bytes are not compressed: a small model takes its steps faster than that."""
 
 
 class Cells(NamedTuple):
@@ -64,7 +69,7 @@ def _data_array(name: str, values: Array) -> bytes:
     """The XML of an array of one of the ``TYPES``, compressed as one block."""
     content = np.ascontiguousarray(values).tobytes()
     strategy = zlib.Z_RLE if values.dtype.kind == "f" else zlib.Z_DEFAULT_STRATEGY
-    squeeze = zlib.compressobj(1, strategy=strategy)
+    squeeze = zlib.compressobj(1 if len(content) > SMALL else 0, strategy=strategy)
     packed = squeeze.compress(content) + squeeze.flush()
     # Blocks, their size, that of a last one that is shorter (there is none), and the size of each when packed.
     header = np.array([1, len(content), 0, len(packed)], dtype="<u8").tobytes()
@@ -126,6 +131,9 @@ def _section(tag: str, arrays: Mapping[str, Array | bytes]) -> list[bytes]:
 class Series:
     """A .pvd file and its folder of .vtu files: complete, and readable by ParaView, after every frame.
 
+    To wait for the disk at every file takes longer than to compute it; so that is done once a second, and at the
+    end by :meth:`reach_disk`.
+
     Parameters
     ----------
     path : Path
@@ -137,16 +145,30 @@ class Series:
         self.folder = path.with_suffix("")
         self.folder.mkdir(exist_ok=True)
         self._entries: list[str] = []
+        self._in_memory: list[Path] = []
+        self._waited = monotonic()
 
     def add(self, time: float, content: bytes) -> Path:
         """Write the next frame (the bytes of a .vtu) at a time in seconds, then the .pvd anew."""
         frame = self.folder / f"{self.path.stem}_{len(self._entries):05d}.vtu"
-        write_atomically(frame, content)
+        write_atomically(frame, content, durable=False)
         name = escape(f"{self.folder.name}/{frame.name}")
         self._entries.append(f'    <DataSet timestep="{time!r}" group="" part="0" file="{name}"/>\n')
         write_atomically(
             self.path,
             '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
             "  <Collection>\n" + "".join(self._entries) + "  </Collection>\n</VTKFile>\n",
+            durable=False,
         )
+        self._in_memory.append(frame)
+        if monotonic() > self._waited + 1.0:
+            self.reach_disk()
         return frame
+
+    def reach_disk(self) -> None:
+        """Wait until the disk holds the frames so far and the .pvd."""
+        if self._in_memory:
+            for file in (*self._in_memory, self.path):
+                reach_disk(file)
+        self._in_memory.clear()
+        self._waited = monotonic()

@@ -7,6 +7,7 @@ import meshio
 import numpy as np
 import pytest
 
+from phantomnode.pipeline import vtu
 from phantomnode.pipeline.clip import ClippedBodies
 from phantomnode.pipeline.fields import Fields, contact_lines
 from phantomnode.pipeline.observer import Ending
@@ -191,3 +192,34 @@ def test_series_is_whole_after_every_frame(tmp_path):
         series.add(0.1 * k, vtu_bytes(square, grid, {}, {"value": np.arange(2.0)}, 0.1 * k))
         entries = ET.parse(io.BytesIO((tmp_path / "a & b.pvd").read_bytes())).getroot().iter("DataSet")
         assert len([meshio.read(tmp_path / e.get("file")) for e in entries]) == k + 1
+
+
+def test_frames_reach_the_disk_at_the_end_and_once_a_second_before(tmp_path, monkeypatch):
+    synced, now = [], [0.0]
+    monkeypatch.setattr(vtu, "monotonic", lambda: now[0])
+    monkeypatch.setattr(vtu, "reach_disk", lambda path: synced.append(path.name))
+    series = Series(tmp_path / "a.pvd")
+    series.reach_disk()  # nothing yet
+    for now[0] in (0.4, 0.8, 1.2, 1.6):
+        series.add(now[0], b"content")
+    assert synced == ["a_00000.vtu", "a_00001.vtu", "a_00002.vtu", "a.pvd"]
+    series.reach_disk()
+    assert synced[4:] == ["a_00003.vtu", "a.pvd"]
+
+
+def test_small_and_large_arrays_are_read_back(tmp_path):
+    """The large one is compressed, the small one is not; zeros, NaN and noise."""
+    rng = np.random.default_rng(3)
+    for count in (3, vtu.SMALL):
+        points, value = rng.standard_normal((count, 2)), rng.standard_normal((count, 3))
+        value[:, 2], value[0, 0] = 0.0, np.nan
+        grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)))
+        content = vtu_bytes(points, grid, {"value": value, "number": np.arange(count)}, {}, 0.5)
+        (tmp_path / "a.vtu").write_bytes(content)
+        mesh = meshio.read(tmp_path / "a.vtu")
+        np.testing.assert_array_equal(mesh.points[:, :2], points.astype(np.float32))
+        np.testing.assert_array_equal(mesh.point_data["value"], value.astype(np.float32))
+        np.testing.assert_array_equal(mesh.point_data["number"], np.arange(count))
+        read = pytest.importorskip("pyvista").read(tmp_path / "a.vtu")
+        np.testing.assert_array_equal(read["value"], value.astype(np.float32))
+        assert read.field_data["TimeValue"][0] == 0.5

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.files import reach_disk, write_atomically
 
 
 def test_new_and_replaced(tmp_path):
@@ -34,6 +34,15 @@ def test_failure_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
         write_atomically(path, "new")
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_a_file_that_need_not_be_durable_waits_for_no_disk(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    write_atomically(tmp_path / "a.txt", "x", durable=False)
+    assert (tmp_path / "a.txt").read_text() == "x" and not synced
+    reach_disk(tmp_path / "a.txt")
+    assert len(synced) == 1
 
 
 def test_missing_folder_is_an_error(tmp_path):
