@@ -51,6 +51,8 @@ def to_local(corners: Floats, points: Floats) -> Floats:
     local = np.zeros((len(points), 2))
     if len(points) == 0:
         return local
+    # Seen from a corner: far from the origin, coordinates have too few digits for a small cell.
+    corners, points = corners - corners[:, :1], points - corners[:, 0]
     size = np.ptp(corners, axis=1).max(axis=1)
     for _ in range(30):
         residual = points - to_global(corners, local)

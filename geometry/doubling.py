@@ -127,7 +127,9 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
     pairs = _shared_edges(fragments)
     elements, grid_node = _numbered(grid, fragments, near, cells, pairs)
     lattice = fragments.lattice
-    xy = lattice.position(lattice.snap(grid.position(grid_node)))
+    xy = np.empty((len(grid_node), 2))
+    for rows in chunks(len(xy)):
+        xy[rows] = lattice.position(lattice.snap(grid.position(grid_node[rows])))
     triangles, triangle_element = _triangles(fragments)
     cell_area = np.empty(count)
     for rows in chunks(count):
@@ -226,7 +228,8 @@ def _numbered(
     copies[fragments.part.nodes] = 0
     np.add.at(copies, grid_of_root, np.int32(1))
     grid_node = np.repeat(np.arange(grid.node_count), copies)
-    number = np.cumsum(copies, dtype=np.int64) - copies
+    number = np.cumsum(copies, dtype=np.int64)
+    number -= copies
     for rows in chunks(len(elements)):
         elements[rows] = number[elements[rows]]
 
@@ -258,7 +261,8 @@ def _components(fragments: Fragments, near: Ints, shared: _SharedEdges) -> Ints:
 def _real(fragments: Fragments, elements: Ints, nodes: int) -> Bools:
     """(nodes,) Whether a node stands in (or on the rim of) the material of one of its elements."""
     real = np.zeros(nodes, dtype=bool)
-    real[elements[fragments.whole]] = True
+    for rows in chunks(len(elements)):
+        real[elements[rows][fragments.whole[rows]]] = True
     half = np.flatnonzero(fragments.of_face[fragments.arrangement.face] >= 0)
     element = fragments.of_face[fragments.arrangement.face[half]]
     cell = np.searchsorted(fragments.part.cells, fragments.cell[element])

@@ -20,7 +20,7 @@ Pair = tuple[float, float]
 MOST_CELLS = 50_000_000
 """More cells than this are a slip of the pen (a cell size in the wrong unit), not a model."""
 
-CHUNK = 1 << 18
+CHUNK = 1 << 16
 """Rows of a long array that are worked on at a time, so that intermediate arrays stay small."""
 
 NO_NODES, NOWHERE = np.zeros(0, dtype=np.int64), np.zeros((0, 2))

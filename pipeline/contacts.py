@@ -241,6 +241,8 @@ def offsets(case: Case, cut: dict[str, CutBody], passes: list[ContactPass], mode
     Surfaces that overlap otherwise are refused: each millimetre would add energy eps g^2/2 from nothing.
     """
     contact = model.contact
+    if len(contact.slave_weight) == 0:
+        return np.zeros(0)
     gaps = initial_state(model, np.zeros_like(model.x), prepare_search(contact)).gap
     found = np.zeros(len(gaps))
     for k, (name, table) in _passes_with_tables(case, contact):

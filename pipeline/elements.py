@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from phantomnode.geometry.bilinear import gradients, local_gradients, shape, to_local
 from phantomnode.geometry.doubling import CutMesh
+from phantomnode.geometry.grid import chunks
 from phantomnode.pipeline.boundaries import constant_gravity
 from phantomnode.pipeline.schema import Case, Hourglass, Material
 from phantomnode.solver.cut_elements import fragment_elements
@@ -76,7 +77,7 @@ def element_lists(case: Case, bodies: Sequence[Body]) -> ElementLists:
     )
     cut = joined_cut_elements([cut_elements(b.mesh, b.nodes.start, material[b.name], points) for b in bodies])
     meshes = [body.mesh for body in bodies]
-    x = np.vstack([mesh.xy for mesh in meshes])
+    x = meshes[0].xy if len(meshes) == 1 else np.vstack([mesh.xy for mesh in meshes])
     mass = lumped_mass(len(x), elements, cut)
     cut = stiffened(case, meshes, cut)
     full = full_elements(elements, x) if case.integration.uncut == "full" else NO_POINTS
@@ -86,9 +87,18 @@ def element_lists(case: Case, bodies: Sequence[Body]) -> ElementLists:
 
 def uncut_elements(mesh: CutMesh, first_node: int, material: Material, kappa: float) -> Elements:
     """The uncut elements of one body, in the order of the mesh."""
-    nodes = mesh.elements[~mesh.cut]
     lame, shear = lame_constants(material)
-    return one_point_elements(nodes + first_node, mesh.xy[nodes], lame, shear, material.rho, kappa)
+    numbers = np.flatnonzero(~mesh.cut)
+    whole: Elements | None = None
+    for rows in chunks(len(numbers)):  # what is worked out on the way would take twice the room of the result
+        nodes = mesh.elements[numbers[rows]]
+        some = one_point_elements(nodes + first_node, mesh.xy[nodes], lame, shear, material.rho, kappa)
+        if whole is None:
+            whole = Elements._make(np.empty((len(numbers), *field.shape[1:]), field.dtype) for field in some)
+        for field, part in zip(whole, some, strict=True):
+            field[rows] = part
+    none = np.zeros((0, 4), dtype=np.int64)
+    return whole or one_point_elements(none, mesh.xy[none], lame, shear, material.rho, kappa)
 
 
 def full_elements(elements: Elements, x: Floats) -> CutElements:
@@ -131,7 +141,8 @@ def cut_elements(mesh: CutMesh, first_node: int, material: Material, points_per_
     return fragment_elements(
         mesh.elements[elements] + first_node,
         np.concatenate([[0], np.cumsum(count * per_element)]),
-        gradient + _mended(mesh, gradient, weight, owner)[owner],
+        gradient
+        + _mended(mesh, elements, gradient, weight)[np.repeat(np.arange(len(elements)), count * per_element)],
         weight,
         lame,
         shear,
@@ -145,8 +156,8 @@ def _areas(triangles: Floats) -> Floats:
     return np.asarray(0.5 * (side1[:, 0] * side2[:, 1] - side1[:, 1] * side2[:, 0]))
 
 
-def _mended(mesh: CutMesh, gradient: Floats, weight: Floats, owner: Ints) -> Floats:
-    """(m, 4, 2) What makes the gradients of each element sum to the integral over its fragment, 1/m.
+def _mended(mesh: CutMesh, elements: Ints, gradient: Floats, weight: Floats) -> Floats:
+    """(c, 4, 2) What makes the gradients of each cut element sum to the integral over its fragment, 1/m.
 
     In a cell that is no parallelogram (a relocated node, a mapped grid) gradients are rational functions, which
     no rule integrates exactly, so that the pieces of a cut cell would not add up to the cell and a constant stress
@@ -154,14 +165,16 @@ def _mended(mesh: CutMesh, gradient: Floats, weight: Floats, owner: Ints) -> Flo
     right on every edge that cells share; the difference goes along the hourglass vector, so that linear
     fields keep their gradients.
     """
-    mended = np.zeros((len(mesh.elements), 4, 2))
-    corners = mesh.xy[mesh.elements]
+    mended = np.zeros((len(elements), 4, 2))
+    corners = mesh.xy[mesh.elements[elements]]
     skew = np.abs(corners[:, 0] - corners[:, 1] + corners[:, 2] - corners[:, 3]).max(axis=1)
     crooked = skew > SKEW * np.ptp(corners, axis=1).max(axis=1)
-    of_triangle = mesh.triangle_element[crooked[mesh.triangle_element]]
-    if len(of_triangle) == 0:
+    of_triangle = np.searchsorted(elements, mesh.triangle_element)
+    owner = np.repeat(of_triangle, len(weight) // max(len(of_triangle), 1))
+    chosen = crooked[of_triangle]
+    if not chosen.any():
         return mended
-    triangles = mesh.triangles[crooked[mesh.triangle_element]]
+    of_triangle, triangles = of_triangle[chosen], mesh.triangles[chosen]
     sides = np.roll(triangles, -1, axis=1) - triangles
     points = triangles[:, :, None] + 0.5 * (1.0 + EDGE_POINTS)[:, None] * sides[:, :, None]
     repeated = np.repeat(corners[of_triangle], points.shape[1] * points.shape[2], axis=0)
@@ -173,7 +186,7 @@ def _mended(mesh: CutMesh, gradient: Floats, weight: Floats, owner: Ints) -> Flo
     which = np.unique(of_triangle)
     gamma = _hourglass_vectors(corners[which])
     along = np.einsum("mi,mia->ma", gamma, mended[which]) / np.einsum("mi,mi->m", gamma, gamma)[:, None]
-    mended[which] = np.einsum("mi,ma->mia", gamma, along / mesh.area[which, None])
+    mended[which] = np.einsum("mi,ma->mia", gamma, along / mesh.area[elements[which], None])
     return mended
 
 
@@ -224,7 +237,9 @@ def _as_points(elements: Elements) -> CutElements:
 
 
 def joined_elements(parts: list[Elements]) -> Elements:
-    """The lists of several bodies behind each other."""
+    """The lists of several bodies behind each other; that of a single one as it is."""
+    if len(parts) == 1:
+        return parts[0]
     return Elements(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*parts, strict=True)))
 
 

@@ -189,9 +189,10 @@ def _model(
     lists: ElementLists, rigids: tuple[Rigid, ...], passes: list[ContactPass], held: Conditions
 ) -> Model:
     """The arrays of all bodies behind each other, with a quarter of each element's mass on its nodes."""
-    obstacles = [rigid.xy for rigid in rigids]
-    x = np.vstack([lists.x, *obstacles])
-    load = np.vstack([lists.load, *(np.zeros_like(xy) for xy in obstacles)])
+    x, load = lists.x, lists.load
+    if rigids:
+        obstacles = [rigid.xy for rigid in rigids]
+        x, load = np.vstack([x, *obstacles]), np.vstack([load, *(np.zeros_like(xy) for xy in obstacles)])
     return Model(
         x=x,
         mass=lumped_mass(len(x), lists.elements, lists.cut_elements),

@@ -99,8 +99,12 @@ def element_rates(model: Model, speed: float = 0.0) -> tuple[Floats, Floats]:
 
 def contact_by_element(model: Model) -> Floats:
     """(e,) The largest of :func:`contact_rates` at the nodes of each element, uncut elements first, 1/s^2."""
-    nodes = np.concatenate([model.elements.nodes, model.cut_elements.nodes])
-    return np.asarray(np.max(contact_rates(model)[nodes], axis=1))
+    rates, largest = contact_rates(model), []
+    for nodes in (model.elements.nodes, model.cut_elements.nodes):
+        largest.append(rates[nodes[:, 0]])
+        for corner in nodes.T[1:]:
+            np.maximum(largest[-1], rates[corner], out=largest[-1])
+    return np.concatenate(largest)
 
 
 def _bulk_rates(model: Model, mass: Floats, speed: float) -> Floats:

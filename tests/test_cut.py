@@ -284,3 +284,12 @@ def test_fragments_of_crooked_cells_fill_them(seed: int) -> None:
     sums = np.bincount(mesh.cell, weights=mesh.area, minlength=cells**2)
     assert np.max(np.abs(sums - areas)) <= 1e-12
     assert np.all(mesh.area > 0.0)
+
+
+def test_places_in_small_cells_far_from_the_origin_keep_their_digits() -> None:
+    """Cells of 2^-14 m at 1024 m: all sums are exact in doubles, so that nothing but Newton's steps may err."""
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    rng = np.random.default_rng(0)
+    local = np.round(rng.uniform(-1.0, 1.0, (50, 2)) * 2**8) / 2**8
+    corners = 1024.0 + 2.0**-14 * np.repeat(square[None], 50, axis=0)
+    np.testing.assert_allclose(to_local(corners, 1024.0 + 2.0**-14 * local), local, rtol=0, atol=1e-15)
