@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,8 +45,11 @@ class Arrangement:
     def of(cls, pieces: Pieces) -> Arrangement:
         """Unite coinciding pieces into segments."""
         forward = pieces.ends[:, 0] < pieces.ends[:, 1]
-        ends, segment = np.unique(np.sort(pieces.ends, axis=1), axis=0, return_inverse=True)
-        return cls(pieces.vertices, ends, segment.reshape(-1), forward)
+        count = max(len(pieces.vertices), 1)
+        code, segment = np.unique(
+            pieces.ends.min(axis=1) * count + pieces.ends.max(axis=1), return_inverse=True
+        )
+        return cls(pieces.vertices, np.column_stack(np.divmod(code, count)), segment, forward)
 
     @property
     def half_edges(self) -> int:
@@ -97,9 +101,8 @@ class Arrangement:
         """(h,) The face on the left of each half-edge."""
         face = np.empty(self.half_edges, dtype=np.int64)
         lengths = [len(cycle) for cycle in self.cycles]
-        face[np.concatenate([np.asarray(c) for c in self.cycles])] = np.repeat(
-            np.arange(len(lengths)), lengths
-        )
+        order = np.fromiter(chain.from_iterable(self.cycles), np.int64, self.half_edges)
+        face[order] = np.repeat(np.arange(len(lengths)), lengths)
         return face
 
     @cached_property

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import mapbox_earcut
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +13,7 @@ from phantomnode.geometry.bilinear import to_local
 from phantomnode.geometry.cut import Fragments
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.grid import BackgroundGrid, chunks
-from phantomnode.geometry.noding import cross
+from phantomnode.geometry.triangles import triangles_of_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -227,8 +226,9 @@ def _numbered(
         copies[elements[rows]] = 1
     copies[fragments.part.nodes] = 0
     np.add.at(copies, grid_of_root, np.int32(1))
-    grid_node = np.repeat(np.arange(grid.node_count), copies)
-    number = np.cumsum(copies, dtype=np.int64)
+    used = np.flatnonzero(copies)
+    grid_node = np.repeat(used, copies[used])
+    number = np.cumsum(copies, dtype=np.int32)
     number -= copies
     for rows in chunks(len(elements)):
         elements[rows] = number[elements[rows]]
@@ -275,15 +275,9 @@ def _real(fragments: Fragments, elements: Ints, nodes: int) -> Bools:
 def _triangles(fragments: Fragments) -> tuple[Floats, Ints]:
     """Counter-clockwise triangles of the cut fragments, ordered by element."""
     arrangement = fragments.arrangement
-    corners: list[Ints] = [np.zeros((0, 3), dtype=np.int64)]
-    element: list[Ints] = [np.zeros(0, dtype=np.int64)]
     faces = np.flatnonzero(fragments.of_face >= 0)
-    for face in faces[~fragments.whole[fragments.of_face[faces]]]:
-        walk = arrangement.origin[arrangement.cycles[face]]
-        parts = _triangulated(walk, arrangement.vertices, int(arrangement.doubled_areas[face]))
-        corners.append(parts)
-        element.append(np.full(len(parts), fragments.of_face[face]))
-    vertices, owner = np.concatenate(corners), np.concatenate(element)
+    vertices, face = triangles_of_faces(arrangement, faces[~fragments.whole[fragments.of_face[faces]]])
+    owner = fragments.of_face[face]
     order = np.argsort(owner, kind="stable")
     vertices, owner = vertices[order], owner[order]
     triangles = fragments.positions[vertices]
@@ -302,40 +296,6 @@ def _areas(triangles: Floats) -> Floats:
 def _cross(a: Floats, b: Floats) -> Floats:
     """(k,) z-component of the cross product of (k, 2) vectors."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-
-
-def _triangulated(walk: Ints, vertices: Ints, doubled_area: int) -> Ints:
-    """(t, 3) Vertices of triangles of a polygon given by its walk, exact in area; none of no area."""
-    walk = _without_spikes(walk)
-    ring = vertices[walk]
-    local = ring - ring[0]
-    turn = cross(np.roll(local, -1, axis=0) - local, np.roll(local, -2, axis=0) - np.roll(local, -1, axis=0))
-    if np.all(turn >= 0):
-        index = np.array([[0, k, k + 1] for k in range(1, len(ring) - 1)])
-    else:
-        flat = mapbox_earcut.triangulate_float64(local.astype(np.float64), np.array([len(ring)]))
-        index = np.asarray(flat, dtype=np.int64).reshape(-1, 3)
-    a, b, c = ring[index.T]
-    twice = cross(b - a, c - a)
-    index[twice < 0] = index[twice < 0][:, ::-1]
-    if int(np.abs(twice).sum()) != doubled_area:
-        raise GeometryError("a fragment could not be divided into triangles: report this geometry as a bug")
-    return np.asarray(walk[index[twice != 0]])
-
-
-def _without_spikes(walk: Ints) -> Ints:
-    """A walk without its forays along slits and bridges (a, b, a becomes a)."""
-    points = walk.tolist()
-    k = 0
-    while len(points) > 2 and k < len(points):
-        if points[k - 2] == points[k]:
-            # points[k-2], points[k-1], points[k]: drop the tip and one of the two equal ends.
-            for index in sorted(((k - 1) % len(points), k), reverse=True):
-                points.pop(index)
-            k = 0
-        else:
-            k += 1
-    return np.array(points, dtype=np.int64)
 
 
 def _boundary_segments(fragments: Fragments, xy: Floats, elements: Ints) -> BoundarySegments:

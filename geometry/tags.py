@@ -40,11 +40,14 @@ class CellEdges:
         """Find the edges of a grid; more than two cells at an edge, or cells that overlap, are refused."""
         directed = np.stack([grid.quads, np.roll(grid.quads, -1, axis=1)], axis=-1).reshape(-1, 2)
         forward = directed[:, 0] < directed[:, 1]
-        ends, edge = np.unique(np.sort(directed, axis=1), axis=0, return_inverse=True)
-        edge = edge.reshape(-1)
+        # One number an edge sorts faster than a row of two.
+        code, edge = np.unique(
+            directed.min(axis=1) * grid.node_count + directed.max(axis=1), return_inverse=True
+        )
+        ends = np.column_stack(np.divmod(code, grid.node_count))
         cell, corner = np.full((len(ends), 2), -1), np.full((len(ends), 2), -1)
         for side, mask in ((0, forward), (1, ~forward)):
-            if len(np.unique(edge[mask])) != np.count_nonzero(mask):
+            if np.bincount(edge[mask]).max(initial=0) > 1:
                 raise GeometryError("the background grid has an edge with two cells on the same side")
             number = np.flatnonzero(mask)
             cell[edge[mask], side], corner[edge[mask], side] = number // 4, number % 4
