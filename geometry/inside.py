@@ -16,7 +16,7 @@ from scipy.ndimage import label
 from phantomnode.geometry.arrangement import Arrangement, components
 from phantomnode.geometry.curves import Region
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.grid import BackgroundGrid, chunks
 from phantomnode.geometry.levelset import LevelSet
 from phantomnode.geometry.near import Part
 from phantomnode.geometry.noding import Lattice
@@ -62,7 +62,10 @@ class PlainCells:
     def first(self) -> Ints:
         """(count,) The lowest cell of each region; -1 of one without a cell."""
         first = np.full(self.count + 1, -1)
-        first[self.region[::-1]] = np.arange(len(self.region))[::-1]  # what is written last stays
+        for rows in reversed(list(chunks(len(self.region)))):
+            first[self.region[rows][::-1]] = np.arange(rows.start, rows.stop)[
+                ::-1
+            ]  # what is written last stays
         return first[:-1]
 
 
