@@ -39,20 +39,20 @@ def package(tmp_path: Path) -> Path:
     return folder
 
 
-def start(package: Path, **environment: str) -> subprocess.Popen[str]:
+def start(package: Path, module: str = "small.caller", **environment: str) -> subprocess.Popen[str]:
     """A process that calls the kernels, with a cache beside the package unless told otherwise."""
     import phantomnode
 
     path = os.pathsep.join([str(package.parent), str(Path(phantomnode.__path__[0]).parent)])
     given = {"NUMBA_DISABLE_JIT": "0", "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(package.parent / "cache")}
     return subprocess.Popen(
-        [sys.executable, "-m", "small.caller"], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        [sys.executable, "-m", module], text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         env=os.environ | given | environment,
     )  # fmt: skip
 
 
-def call(package: Path, **environment: str) -> str:
-    output, errors = (process := start(package, **environment)).communicate(timeout=120)
+def call(package: Path, module: str = "small.caller", **environment: str) -> str:
+    output, errors = (process := start(package, module, **environment)).communicate(timeout=120)
     assert process.returncode == 0, errors
     return output.strip()
 
@@ -68,6 +68,33 @@ def test_a_second_process_compiles_nothing(package: Path) -> None:
     assert call(package) == f"21.0 31.0 {LOADED}"
     assert files(package) == before
     assert not list(package.rglob("*.nbi"))
+
+
+PARALLEL_CALLEE = """
+import numpy as np
+from numba import prange
+from phantomnode.kernels import kernel
+
+@kernel(parallel=True)
+def by_threads(x):
+    parts = np.zeros(4)
+    for i in prange(4):
+        parts[i] = x
+    return parts.sum()
+
+@kernel
+def factor(x):
+    return by_threads(x) if x > 2.5 else 4.0 * x
+"""
+
+
+def test_a_kept_caller_of_parallel_loops_finds_the_threads(package: Path) -> None:
+    """Compiled with a callee that was loaded, a caller does not know of its loops: it ended the next process."""
+    (package / "callee.py").write_text(PARALLEL_CALLEE)
+    (package / "first.py").write_text("from small.callee import factor\nfactor(2.0), factor(3)\n")
+    assert call(package, "small.first") == ""
+    assert call(package).startswith("9.0 13.0")
+    assert call(package) == f"9.0 13.0 {LOADED}"
 
 
 def test_a_caller_is_compiled_anew_when_its_callee_changes(package: Path) -> None:

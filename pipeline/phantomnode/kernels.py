@@ -42,6 +42,11 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 UNUSED = 30 * 24 * 3600.0
 """Folders of other versions that no process has used for so long are removed, s."""
 
+PARALLEL = b"numba_parallel_for"
+"""What a kernel with parallel loops calls, and one with a callee that has them. Numba knows the name once its threads
+are started. It starts them where it compiles such a loop or loads one that it compiled; but not where it loads a
+caller that was compiled with a callee from a file: that would end in a jump to nowhere."""
+
 KEY = re.compile("[0-9a-f]{16}")
 
 
@@ -87,7 +92,11 @@ class KernelCache(NullCache):  # type: ignore[misc]
         target_context.refresh()
         _mark_used(self._folder)
         content = read_checked(self._file(sig, target_context.codegen()))
-        return None if content is None else CompileResult._rebuild(target_context, *pickle.loads(content))
+        if content is None:
+            return None
+        if PARALLEL in content:
+            numba.get_num_threads()  # starts them
+        return CompileResult._rebuild(target_context, *pickle.loads(content))
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a compiled kernel; where that is impossible, say so and go on."""
