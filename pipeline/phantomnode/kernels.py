@@ -39,7 +39,7 @@ from numba.core.serialize import dumps
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-UNUSED = 30 * 24 * 3600.0
+UNUSED = 7 * 24 * 3600.0
 """Folders of other versions that no process has used for so long are removed, s."""
 
 PARALLEL = b"numba_parallel_for"
