@@ -88,7 +88,11 @@ class LevelSet:
 
     def distance(self, xy: Floats) -> Floats:
         """(n,) Signed distance, metres, of (n, 2) points."""
-        return self.query(xy).distance
+        xy = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
+        distance = _distance(self._groups[0], xy)
+        for pieces in self._groups[1:]:
+            np.maximum(distance, _distance(pieces, xy), out=distance)
+        return np.asarray(distance)
 
     def normal(self, xy: Floats) -> Floats:
         """(n, 2) Gradient of the signed distance at (n, 2) points, of unit length.
@@ -259,6 +263,18 @@ def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, I
 
 
 @kernel
+def _distance(pieces: _Pieces, xy: Floats) -> Floats:
+    """Signed distance of every point, as of :func:`_query`, in two thirds of its time."""
+    distance, stack, waiting = np.empty(len(xy)), np.empty(64, np.int64), np.empty(64)
+    guess = 0
+    for i in range(len(xy)):
+        x, y = xy[i, 0], xy[i, 1]
+        guess, vertex, far = _nearest(pieces, x, y, guess, stack, waiting)
+        distance[i] = _foot(pieces, guess, vertex, far, x, y)[4]
+    return distance
+
+
+@kernel
 def _nearest(
     pieces: _Pieces, x: float, y: float, guess: int, stack: Ints, waiting: Floats
 ) -> tuple[int, int, float]:
@@ -303,14 +319,9 @@ def _off2(chords: Floats, i: int, x: float, y: float) -> float:
     """Square of the distance of a point from a chord of the tree."""
     ax, ay = x - chords[i, 0], y - chords[i, 1]
     ex, ey = chords[i, 4], chords[i, 5]
-    t = ax * ex + ay * ey
-    if t <= 0.0:
-        return ax * ax + ay * ay
-    if t >= chords[i, 6]:
-        bx, by = x - chords[i, 2], y - chords[i, 3]
-        return bx * bx + by * by
-    v = ex * ay - ey * ax
-    return v * v
+    t = min(max(ax * ex + ay * ey, 0.0), chords[i, 6])
+    dx, dy = ax - t * ex, ay - t * ey
+    return dx * dx + dy * dy
 
 
 @kernel

@@ -44,7 +44,7 @@ def distance(plan: Plan) -> Iterator[Figure]:
     for segments, name in ((1000, "1e3"), (100_000, "1e5")):
         levels = LevelSet.of_regions([flower(plan.sized(segments, least=60))])
         runs = repeated(lambda levels=levels: levels.distance(xy), plan.processes)
-        yield duration(f"signed distance, 1e6 nodes x {name} segments", runs, "tree of boxes built before")
+        yield duration(f"signed distance, 1e6 nodes x {name} segments", runs, "tree of chords built before")
 
 
 def cutting(plan: Plan) -> Iterator[Figure]:
