@@ -19,9 +19,10 @@ from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.smoothing import hat_filter
 from phantomnode.pipeline.surfaces import Surface, surface
 from phantomnode.solver.contact import depth_at, nearest_segment
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Contact, Model
-from phantomnode.solver.search import nearest_wall, prepare_search
+from phantomnode.solver.search import nearest_wall
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -243,7 +244,7 @@ def offsets(case: Case, cut: dict[str, CutBody], passes: list[ContactPass], mode
     contact = model.contact
     if len(contact.slave_weight) == 0:
         return np.zeros(0)
-    gaps = initial_state(model, np.zeros_like(model.x), prepare_search(contact)).gap
+    gaps = initial_state(model, np.zeros_like(model.x), prepare_layout(model)).gap
     found = np.zeros(len(gaps))
     for k, (name, table) in _passes_with_tables(case, contact):
         points = slice(*contact.slave_first[k : k + 2])

@@ -16,8 +16,8 @@ from phantomnode.pipeline.boundaries import constant_gravity
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.solver.cut_elements import add_cut_forces
 from phantomnode.solver.model import Model
-from phantomnode.solver.q4 import add_element_forces
 from phantomnode.solver.timestep import StepEstimate
+from phantomnode.solver.uncut import add_element_forces
 from phantomnode.solver.xfem import Basis, heaviside_basis
 
 if TYPE_CHECKING:

@@ -1,12 +1,21 @@
-"""Stresses of a block of integration points at a time, in a form that the compiler turns into vector code.
+"""Forces of a block of uncut elements, or of integration points, in a form that the compiler turns into vector code.
 
-A block is one flat array of rows of ``BLOCK`` numbers. Gathering displacements and scattering forces cannot
-be vectorised; the law in between can, if it has no branch: the series alone is taken here, and the few points
-beyond its limit are done again by :func:`phantomnode.solver.hencky.first_piola` when they are read. Measured
-on one core: the law alone 530 million points a second, elements with gather and scatter 54 instead of 21.
+A block is one flat array of rows of ``BLOCK`` numbers. Gathering displacements and scattering forces cannot be
+vectorised where nodes are numbered freely; all arithmetic in between can, if it has no branch: the series of the
+law alone is taken here, and the few points beyond its limit are done again by
+:func:`phantomnode.solver.hencky.first_piola`. Products and sums may be contracted to fused multiply-adds.
+
+With the gradient of a bilinear quadrilateral at its centre, the nodes across a diagonal have opposite gradients,
+grad N_3 = -grad N_1 and grad N_4 = -grad N_2, and the hourglass vector is gamma_I = h_I - s . grad N_I with
+h = (1, -1, 1, -1) and s = sum h_I x_I. So u_1 - u_3, u_2 - u_4 and h . u are all that an element needs to know:
+
+    H = (u_1 - u_3) grad N_1 + (u_2 - u_4) grad N_2,    q = h . u - H s,
+    f_I = -(V P - k q s^T) grad N_I - k q h_I.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,55 +24,142 @@ from phantomnode.kernels import kernel
 from phantomnode.solver.hencky import SERIES_LIMIT, atanh_series, first_piola, pull_back, strain_measures
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 BLOCK = 128
-"""Points in a block: the rows of one block stay in the first-level cache."""
+"""Elements or points in a block: its rows stay in the first-level cache."""
 
-H11, H12, H21, H22 = 0, BLOCK, 2 * BLOCK, 3 * BLOCK
-LAME, SHEAR = 4 * BLOCK, 5 * BLOCK
-P11, P12, P21, P22 = 6 * BLOCK, 7 * BLOCK, 8 * BLOCK, 9 * BLOCK
-J, Y, Z2 = 10 * BLOCK, 11 * BLOCK, 12 * BLOCK
-QX, QY = 13 * BLOCK, 14 * BLOCK
-ROOM = 15 * BLOCK
-"""Where each row begins: displacement gradient, lambda and mu times the weight, P times the weight, J, y and
-z^2 of the law, hourglass forces."""
+LANES = 8
+"""Blocks are computed in whole vectors of so many numbers; what lies beyond the last element is not used."""
+
+D1X, D1Y, D2X, D2Y, HX, HY = (BLOCK * row for row in range(6))
+"""Of an element: u_1 - u_3, u_2 - u_4 and h . u, m."""
+
+G1X, G1Y, G2X, G2Y, SX, SY, LAME, SHEAR, STIFFNESS = (BLOCK * row for row in range(6, 15))
+"""Its constants: grad N_1 and grad N_2, 1/m; s, m; V lambda and V mu, N; hourglass stiffness k, N/m."""
+
+A1X, A1Y, A2X, A2Y, CX, CY = (BLOCK * row for row in range(15, 21))
+"""Its results: (V P - k q s^T) grad N_1, the same with grad N_2, and k q, N/m."""
+
+BEYOND = 21 * BLOCK
+"""What must not exceed SERIES_LIMIT for the series to hold."""
+
+ROOM = 22 * BLOCK
+
+POINT_LAME, POINT_SHEAR = 8 * BLOCK, 9 * BLOCK
+"""Of a point: lambda and mu times its weight, N, behind u_x and u_y of its four nodes in turn, m."""
+
+POINT_FORCE = 10 * BLOCK
+"""Its results: -w P grad N_I in x and y of its four nodes in turn, N/m."""
 
 
 @kernel(inline="always")
-def gather(
-    block: Floats, k: int, nodes: Ints, gradient: Floats, lame: float, shear: float, u: Floats
-) -> None:
-    """Point k of the block: displacement gradient from the (4,) nodes; lambda and mu times the weight."""
-    n0, n1, n2, n3 = nodes[0], nodes[1], nodes[2], nodes[3]
-    for i in range(2):
-        u0, u1, u2, u3 = u[n0, i], u[n1, i], u[n2, i], u[n3, i]
-        row = k + 2 * i * BLOCK
-        block[row] = gradient[0, 0] * u0 + gradient[1, 0] * u1 + gradient[2, 0] * u2 + gradient[3, 0] * u3
-        row += BLOCK
-        block[row] = gradient[0, 1] * u0 + gradient[1, 1] * u1 + gradient[2, 1] * u2 + gradient[3, 1] * u3
-    block[LAME + k], block[SHEAR + k] = lame, shear
+def series_piola(
+    h11: float, h12: float, h21: float, h22: float, lame: float, shear: float
+) -> tuple[float, float, float, float, float]:
+    """First Piola-Kirchhoff stress P11, P12, P21, P22 by the series, and what must not exceed its limit."""
+    half, b12, inverse, y, z, j1 = strain_measures(h11, h12, h21, h22)
+    z2 = z * z
+    mean = (lame + shear) * (2.0 * z * atanh_series(z2))
+    factor = shear * (2.0 * atanh_series(y) * inverse)
+    d, t12 = factor * half, factor * b12
+    p11, p12, p21, p22 = pull_back(mean + d, mean - d, t12, h11, h12, h21, h22, 1.0 + j1)
+    return p11, p12, p21, p22, y + z2
+
+
+@kernel(fastmath={"contract"})
+def element_block(block: Floats, count: int) -> int:
+    """Results of the first ``count`` elements from their differences and constants; how many are unsound (J <= 0)."""
+    beyond = 0
+    for k in range(LANES * ((count + LANES - 1) // LANES)):
+        g1x, g1y, g2x, g2y = block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k]
+        sx, sy, stiffness = block[SX + k], block[SY + k], block[STIFFNESS + k]
+        d1x, d1y, d2x, d2y = block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k]
+        h11, h12 = d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y
+        h21, h22 = d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
+        p11, p12, p21, p22, limit = series_piola(h11, h12, h21, h22, block[LAME + k], block[SHEAR + k])
+        cx, cy = (
+            stiffness * (block[HX + k] - h11 * sx - h12 * sy),
+            stiffness * (block[HY + k] - h21 * sx - h22 * sy),
+        )
+        p11, p12, p21, p22 = p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy
+        block[A1X + k], block[A1Y + k] = p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y
+        block[A2X + k], block[A2Y + k] = p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
+        block[CX + k], block[CY + k] = cx, cy
+        block[BEYOND + k] = limit
+        beyond += not limit <= SERIES_LIMIT
+    return elements_beyond(block, count) if beyond > 0 else 0
 
 
 @kernel
-def stress_block(block: Floats, count: int) -> None:
-    """P times the weight at the first ``count`` points, by the series."""
+def elements_beyond(block: Floats, count: int) -> int:
+    """Do the elements beyond the limit of the series again by the full law; how many are unsound."""
+    unsound = 0
     for k in range(count):
-        h11, h12, h21, h22 = block[H11 + k], block[H12 + k], block[H21 + k], block[H22 + k]
-        half, b12, inverse, y, z, j1 = strain_measures(h11, h12, h21, h22)
-        mean = (block[LAME + k] + block[SHEAR + k]) * (2.0 * z * atanh_series(z * z))
-        factor = block[SHEAR + k] * (2.0 * atanh_series(y) * inverse)
-        d, t12, j = factor * half, factor * b12, 1.0 + j1
-        p11, p12, p21, p22 = pull_back(mean + d, mean - d, t12, h11, h12, h21, h22, j)
-        block[P11 + k], block[P12 + k], block[P21 + k], block[P22 + k] = p11, p12, p21, p22
-        block[J + k], block[Y + k], block[Z2 + k] = j, y, z * z
+        if block[BEYOND + k] <= SERIES_LIMIT:
+            continue
+        g1x, g1y, g2x, g2y = block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k]
+        sx, sy, cx, cy = block[SX + k], block[SY + k], block[CX + k], block[CY + k]
+        d1x, d1y, d2x, d2y = block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k]
+        h11, h12 = d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y
+        h21, h22 = d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
+        unsound += not is_sound(h11, h12, h21, h22)
+        p11, p12, p21, p22 = first_piola(h11, h12, h21, h22, block[LAME + k], block[SHEAR + k])
+        p11, p12, p21, p22 = p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy
+        block[A1X + k], block[A1Y + k] = p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y
+        block[A2X + k], block[A2Y + k] = p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
+    return unsound
+
+
+@kernel
+def is_sound(h11: float, h12: float, h21: float, h22: float) -> bool:
+    """Whether J = det(I + H) is positive and finite."""
+    return 0.0 < 1.0 + (h11 + h22 + (h11 * h22 - h12 * h21)) < math.inf
 
 
 @kernel(inline="always")
-def stress_of(block: Floats, k: int) -> tuple[float, float, float, float]:
-    """P times the weight at point k, beyond the limit of the series by the full law."""
-    if block[Y + k] <= SERIES_LIMIT and block[Z2 + k] <= SERIES_LIMIT:
-        return block[P11 + k], block[P12 + k], block[P21 + k], block[P22 + k]
-    return first_piola(
-        block[H11 + k], block[H12 + k], block[H21 + k], block[H22 + k], block[LAME + k], block[SHEAR + k]
-    )
+def point_gradient(block: Floats, gradient: Floats, p: int, k: int) -> tuple[float, float, float, float]:
+    """H11, H12, H21, H22 at point k of the block, whose (8, points) gradients stand in column p."""
+    h11, h12, h21, h22 = 0.0, 0.0, 0.0, 0.0
+    for i in range(4):
+        ux, uy = block[2 * i * BLOCK + k], block[(2 * i + 1) * BLOCK + k]
+        gx, gy = gradient[2 * i, p], gradient[2 * i + 1, p]
+        h11, h12, h21, h22 = h11 + ux * gx, h12 + ux * gy, h21 + uy * gx, h22 + uy * gy
+    return h11, h12, h21, h22
+
+
+@kernel(fastmath={"contract"})
+def point_block(block: Floats, gradient: Floats, count: int) -> int:
+    """Results of points from the displacements of their nodes and (8, count) gradients; how many are unsound.
+
+    The gradients of a point are those of its four nodes in turn, x before y, 1/m.
+    """
+    beyond = 0
+    for k in range(count):
+        h11, h12, h21, h22 = point_gradient(block, gradient, k, k)
+        p11, p12, p21, p22, limit = series_piola(
+            h11, h12, h21, h22, block[POINT_LAME + k], block[POINT_SHEAR + k]
+        )
+        for i in range(4):
+            gx, gy = gradient[2 * i, k], gradient[2 * i + 1, k]
+            block[POINT_FORCE + 2 * i * BLOCK + k] = -(p11 * gx + p12 * gy)
+            block[POINT_FORCE + (2 * i + 1) * BLOCK + k] = -(p21 * gx + p22 * gy)
+        block[BEYOND + k] = limit
+        beyond += not limit <= SERIES_LIMIT
+    return points_beyond(block, gradient, count) if beyond > 0 else 0
+
+
+@kernel
+def points_beyond(block: Floats, gradient: Floats, count: int) -> int:
+    """Do the points beyond the limit of the series again by the full law; how many are unsound."""
+    unsound = 0
+    for k in range(count):
+        if block[BEYOND + k] <= SERIES_LIMIT:
+            continue
+        h11, h12, h21, h22 = point_gradient(block, gradient, k, k)
+        unsound += not is_sound(h11, h12, h21, h22)
+        p11, p12, p21, p22 = first_piola(h11, h12, h21, h22, block[POINT_LAME + k], block[POINT_SHEAR + k])
+        for i in range(4):
+            gx, gy = gradient[2 * i, k], gradient[2 * i + 1, k]
+            block[POINT_FORCE + 2 * i * BLOCK + k] = -(p11 * gx + p12 * gy)
+            block[POINT_FORCE + (2 * i + 1) * BLOCK + k] = -(p21 * gx + p22 * gy)
+    return unsound

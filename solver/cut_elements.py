@@ -7,16 +7,15 @@ Three points a triangle leave no zero-energy mode beside the rigid ones, so no h
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phantomnode.kernels import kernel
-from phantomnode.solver.block import BLOCK, ROOM, J, gather, stress_block, stress_of
+from phantomnode.solver.block import BLOCK, POINT_FORCE, POINT_LAME, POINT_SHEAR, ROOM, point_block
 from phantomnode.solver.hencky import energy_density
+from phantomnode.solver.layout import Points, point_lists
 from phantomnode.solver.model import CutElements
-from phantomnode.solver.q4 import displacement_gradient
+from phantomnode.solver.q4 import displacement_gradient, smallest_jacobian
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -69,38 +68,61 @@ def fragment_elements(
     )
 
 
-@kernel
-def owner(first: Ints, point: int, before: int) -> int:
-    """The element of an integration point, at or after the element ``before``."""
-    while point >= first[before + 1]:
-        before += 1
-    return before
-
-
-@kernel
 def add_cut_forces(cut: CutElements, u: Floats, force: Floats) -> float:
     """Add the internal forces of the cut elements to (n, 2) force, N/m; return the smallest J or NaN."""
-    smallest, lost = math.inf, False
-    block, total = np.zeros(ROOM), len(cut.weight)
-    reading, writing = 0, 0  # elements that own the points
+    add_point_forces(point_lists(cut), u, force)
+    return smallest_jacobian(cut.nodes, cut.first, cut.gradient, u)
+
+
+@kernel
+def add_point_forces(points: Points, u: Floats, force: Floats) -> int:
+    """Add the internal forces of integration points to (n, 2) force, N/m; how many are unsound (J <= 0)."""
+    block, unsound, total = np.zeros(ROOM), 0, len(points.lame)
+    element = 0  # the one that owns the first point of the block
     for start in range(0, total, BLOCK):
         count = min(BLOCK, total - start)
-        for k in range(count):
-            p = start + k
-            reading = owner(cut.first, p, reading)
-            lame, shear = cut.weight[p] * cut.lame[reading], cut.weight[p] * cut.shear[reading]
-            gather(block, k, cut.nodes[reading], cut.gradient[p], lame, shear, u)
-        stress_block(block, count)
-        for k in range(count):
-            p, j = start + k, block[J + k]
-            writing = owner(cut.first, p, writing)
-            p11, p12, p21, p22 = stress_of(block, k)
-            smallest, lost = min(smallest, j), lost or not j < math.inf
-            for i in range(4):
-                n, gx, gy = cut.nodes[writing, i], cut.gradient[p, i, 0], cut.gradient[p, i, 1]
-                force[n, 0] -= p11 * gx + p12 * gy
-                force[n, 1] -= p21 * gx + p22 * gy
-    return math.nan if lost else smallest
+        gather_points(block, points, element, start, count, u)
+        unsound += point_block(block, points.gradient[:, start : start + count], count)
+        element = scatter_points(block, points, element, start, count, force)
+    return unsound
+
+
+@kernel
+def gather_points(block: Floats, points: Points, element: int, start: int, count: int, u: Floats) -> None:
+    """Displacements of the nodes of the points from ``start`` on, of which ``element`` owns the first."""
+    done = 0
+    while done < count:
+        last = min(count, points.first[element + 1] - start)
+        for i in range(4):
+            n = points.nodes[element, i]
+            ux, uy = u[n, 0], u[n, 1]
+            row_x, row_y = block[2 * i * BLOCK :], block[(2 * i + 1) * BLOCK :]
+            for k in range(done, last):
+                row_x[k], row_y[k] = ux, uy
+        done, element = last, element + 1
+    for k in range(count):
+        block[POINT_LAME + k], block[POINT_SHEAR + k] = points.lame[start + k], points.shear[start + k]
+
+
+@kernel
+def scatter_points(block: Floats, points: Points, element: int, start: int, count: int, force: Floats) -> int:
+    """Add the forces of the points of the block to their nodes; the element that owns the next point."""
+    done = 0
+    while True:
+        last = min(count, points.first[element + 1] - start)
+        for i in range(4):
+            n = points.nodes[element, i]
+            row_x, row_y = POINT_FORCE + 2 * i * BLOCK, POINT_FORCE + (2 * i + 1) * BLOCK
+            fx, fy = 0.0, 0.0
+            for k in range(done, last):
+                fx += block[row_x + k]
+                fy += block[row_y + k]
+            force[n, 0] += fx
+            force[n, 1] += fy
+        element += points.first[element + 1] == start + last
+        if last == count:
+            return element
+        done = last
 
 
 @kernel

@@ -115,7 +115,7 @@ def add_viscous_forces(model: Model, state: State) -> None:
 
 @kernel
 def damp(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
-    """Add the mass damping of the coming kick to forces and accelerations; book the energy that damping takes.
+    """Add the mass damping of the coming kick to the forces; book the energy that damping takes.
 
     With the mean velocity w of the kick, the force is -alpha m w, so that a = (F/m - alpha v)/(1 + alpha
     kick/2) where the motion is free; where it is prescribed, w is known.
@@ -127,8 +127,7 @@ def damp(model: Model, state: State, kick: float, dt: float, increment: Floats) 
         for d in range(2):
             v, c = state.v[i, d], model.channel[i, d]
             if c < 0:
-                state.a[i, d] = (state.force[i, d] / m - alpha * v) / (1.0 + 0.5 * alpha * kick)
-                mean = v + 0.5 * kick * state.a[i, d]
+                mean = v + 0.5 * kick * (state.force[i, d] / m - alpha * v) / (1.0 + 0.5 * alpha * kick)
             else:
                 mean = 0.5 * (v + increment[c] / dt)
             drag = -alpha * m * mean

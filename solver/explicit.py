@@ -10,15 +10,16 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from numba import set_num_threads
 from numpy.typing import NDArray
 
 from phantomnode.solver.contact import contact_energy
 from phantomnode.solver.cut_elements import cut_energy
 from phantomnode.solver.damping import damping_force, dissipated, velocity
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import DONE, advance, initial_state
 from phantomnode.solver.model import NONE, NOWHERE, Energies, Model, State
 from phantomnode.solver.q4 import element_energies
-from phantomnode.solver.search import prepare_search
 from phantomnode.solver.stress import cut_stress, element_stress
 from phantomnode.solver.surface_loads import load_power, support_energy
 
@@ -155,7 +156,7 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
     held, v = model.channel >= 0, velocity(model, state, dt)
     reaction = state.support.copy()
     np.add.at(reaction, model.channel[held], _nodal_reaction(model, state, v)[held])
-    copy = State._make(field.copy() for field in state)
+    copy = copied(state)
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     return Frame(
         time=float(state.clock[0]),
@@ -181,6 +182,11 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
     )
 
 
+def copied(state: State) -> State:
+    """A state of its own, in the order of memory that the kernels are compiled for."""
+    return State(**{name: np.array(field, order="F") for name, field in state._asdict().items()})
+
+
 def frames(
     model: Model,
     velocity: Floats,
@@ -189,6 +195,7 @@ def frames(
     motion: Motion,
     guard: float,
     resume: Frame | None = None,
+    threads: int = 1,
 ) -> Iterator[Frame]:
     """Run a model and yield its frames.
 
@@ -208,6 +215,8 @@ def frames(
         Go on from this frame (only its ``state``, ``initial_energy`` and ``largest_energy`` are used);
         steps up to it are not yielded again. The result is the same, to the bit, as without the
         interruption.
+    threads : int
+        How many may take part; small models keep to one. The result is the same, to the bit.
 
     Raises
     ------
@@ -215,22 +224,24 @@ def frames(
         When the energy error exceeds the guard, or an element is inverted or not finite.
     """
     due = np.asarray(steps_at, dtype=np.int64)
-    search = prepare_search(model.contact)
+    layout = prepare_layout(model, threads)
+    if layout.threads > 1:
+        set_num_threads(layout.threads)
     if resume is None:
         start = np.array(velocity, dtype=np.float64)
         held = model.channel >= 0
         start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
-        state = initial_state(model, start, search, motion.values(0, 1, dt)[0] if model.loads.rows else None)
+        state = initial_state(model, start, layout, motion.values(0, 1, dt)[0] if model.loads.rows else None)
         last = _frame(model, state, dt, None)
         if 0 in due:
             yield last
     else:
-        state, last = State._make(field.copy() for field in resume.state), resume
+        state, last = copied(resume.state), resume
     for target in due[due > last.step]:
         done = last.step
         while done < target:
             steps = min(CHUNK, int(target) - done)
-            if advance(model, state, search, dt, _table(model, motion, done, steps, dt)) != DONE:
+            if advance(model, layout, state, dt, _table(model, motion, done, steps, dt)) != DONE:
                 raise broken(model, state, last)
             done += steps
             frame = _frame(model, state, dt, last)

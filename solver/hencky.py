@@ -28,7 +28,7 @@ def atanh_series(y: float) -> float:
     """S(y) = atanh(sqrt y)/sqrt y for 0 <= y <= SERIES_LIMIT, without a logarithm or a square root."""
     y2 = y * y
     y4 = y2 * y2
-    low = (1.0 + y / 3.0) + y2 * (1.0 / 5.0 + y * (1.0 / 7.0))
+    low = (1.0 + y * (1.0 / 3.0)) + y2 * (1.0 / 5.0 + y * (1.0 / 7.0))
     middle = (1.0 / 9.0 + y * (1.0 / 11.0)) + y2 * (1.0 / 13.0 + y * (1.0 / 15.0))
     high = (1.0 / 17.0 + y * (1.0 / 19.0)) + y2 * ((1.0 / 21.0 + y * (1.0 / 23.0)) + y2 * (1.0 / 25.0))
     return low + y4 * (middle + y4 * high)

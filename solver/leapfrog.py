@@ -18,13 +18,16 @@ from numpy.typing import NDArray
 
 from phantomnode.kernels import kernel
 from phantomnode.solver.contact import OPEN, add_contact_forces, pairs_of
-from phantomnode.solver.cut_elements import add_cut_forces
+from phantomnode.solver.cut_elements import add_point_forces
 from phantomnode.solver.damping import add_viscous_forces, damp, is_viscous
 from phantomnode.solver.friction import add_friction_forces, friction_power, let_go
+from phantomnode.solver.layout import Layout
 from phantomnode.solver.model import Model, State
-from phantomnode.solver.q4 import add_element_forces
+from phantomnode.solver.motion import move_nodes, reset
+from phantomnode.solver.q4 import smallest_jacobian
 from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
 from phantomnode.solver.surface_loads import add_loads, add_support_forces, load_power
+from phantomnode.solver.uncut import add_uncut_forces
 
 Floats = NDArray[np.float64]
 
@@ -32,7 +35,7 @@ DONE, INVERTED, NOT_FINITE = 0, 1, 2
 """What :func:`advance` returns: all steps done, or what stopped it (see the clock for when)."""
 
 
-def initial_state(model: Model, velocity: Floats, search: Search, value: Floats | None = None) -> State:
+def initial_state(model: Model, velocity: Floats, layout: Layout, value: Floats | None = None) -> State:
     """The state at time 0: undeformed, with the forces and accelerations there.
 
     Parameters
@@ -40,8 +43,8 @@ def initial_state(model: Model, velocity: Floats, search: Search, value: Floats 
     model : Model
     velocity : (n, 2) float64, m/s
         Initial velocity of every node.
-    search : Search
-        From :func:`phantomnode.solver.search.prepare_search`.
+    layout : Layout
+        From :func:`phantomnode.solver.layout.prepare_layout`.
     value : (rows,) float64 or None
         Values of the load rows at time 0; zero unless given.
 
@@ -60,10 +63,10 @@ def initial_state(model: Model, velocity: Floats, search: Search, value: Floats 
         )
     rubbing = bool(np.any(model.contact.friction > 0.0))
     state = State(
-        u=np.zeros((n, 2)),
-        v=np.array(velocity, dtype=np.float64, order="C").reshape(n, 2),
-        a=np.zeros((n, 2)),
-        force=np.zeros((n, 2)),
+        u=np.zeros((n, 2), order="F"),
+        v=np.array(velocity, dtype=np.float64, order="F"),
+        a=np.zeros((n, 2), order="F"),
+        force=np.zeros((n, 2), order="F"),
         reaction=np.zeros(model.channels),
         external=np.zeros(1),
         pair_force=np.zeros((pairs, 2)),
@@ -90,30 +93,43 @@ def initial_state(model: Model, velocity: Floats, search: Search, value: Floats 
         support=np.zeros(model.channels),
         support_impulse=np.zeros(model.channels),
     )
-    advance(model, state, search, 0.0, np.zeros((0, model.channels)))
+    advance(model, layout, state, 0.0, np.zeros((0, model.channels)))
     return state
 
 
 @kernel
-def evaluate_elements(model: Model, state: State) -> int:
-    """All forces but those of contact at the current displacement; whether the elements are sound."""
-    for i in range(len(model.load)):
-        state.force[i, 0], state.force[i, 1] = model.load[i, 0], model.load[i, 1]
-    if len(model.full.weight) == 0:
-        smallest_j = add_element_forces(model.elements, state.u, state.force)
-    else:
-        smallest_j = add_cut_forces(model.full, state.u, state.force)
-    cut_j = add_cut_forces(model.cut_elements, state.u, state.force)
+def evaluate_elements(model: Model, layout: Layout, state: State) -> int:
+    """Add all forces but those of contact at the current displacement to the constant ones; whether all is sound."""
+    unsound = add_uncut_forces(layout.rows, layout.scattered, state.u, state.force, layout.threads)
+    unsound += add_point_forces(layout.full, state.u, state.force)
+    unsound += add_point_forces(layout.cut, state.u, state.force)
     add_loads(model.loads, state.value, model.x, state.u, state.force, state.applied, state.point_force)
     add_support_forces(model.supports, state.held, state.u, state.force, state.support)
-    if not smallest_j <= cut_j and smallest_j == smallest_j:
-        smallest_j = cut_j  # also where it is NaN
     if len(state.viscous) > 0:
         add_viscous_forces(model, state)
-    state.smallest_j[0] = smallest_j
-    if smallest_j > 0.0:
+    if unsound == 0:
         return DONE
-    return INVERTED if smallest_j <= 0.0 else NOT_FINITE
+    find_smallest_jacobian(model, state)
+    return INVERTED if state.smallest_j[0] <= 0.0 else NOT_FINITE
+
+
+@kernel
+def evaluate_forces(model: Model, layout: Layout, state: State) -> int:
+    """All forces but those of contact at the current displacement; whether all is sound."""
+    reset(layout, state.force)
+    return evaluate_elements(model, layout, state)
+
+
+@kernel
+def find_smallest_jacobian(model: Model, state: State) -> None:
+    """The smallest J of all points, NaN where one is not finite."""
+    e, cut, full = model.elements, model.cut_elements, model.full
+    if len(full.weight) == 0:
+        uncut_j = smallest_jacobian(e.nodes, np.arange(len(e.nodes) + 1), e.gradient, state.u)
+    else:
+        uncut_j = smallest_jacobian(full.nodes, full.first, full.gradient, state.u)
+    cut_j = smallest_jacobian(cut.nodes, cut.first, cut.gradient, state.u)
+    state.smallest_j[0] = cut_j if not uncut_j <= cut_j and uncut_j == uncut_j else uncut_j
 
 
 @kernel
@@ -128,7 +144,7 @@ def find_candidates(model: Model, state: State, search: Search) -> Candidates:
 
 @kernel
 def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None:
-    """Add the contact forces at the current displacement, then the accelerations of the free nodes."""
+    """Add the contact forces at the current displacement."""
     add_contact_forces(
         model.contact, candidates, model.x, state.u, state.force, state.pair_force, state.gap, state.normal
     )
@@ -137,35 +153,18 @@ def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None
     for k in range(len(state.pair_peak)):
         size = math.sqrt(state.pair_force[k, 0] ** 2 + state.pair_force[k, 1] ** 2)
         state.pair_peak[k] = max(state.pair_peak[k], size)
-    for i in range(len(model.mass)):
-        for d in range(2):
-            if model.channel[i, d] < 0:
-                state.a[i, d] = state.force[i, d] / model.mass[i]
 
 
 @kernel
-def move(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
-    """Velocities over the interval ``kick``, reactions and their work, then displacements over the step."""
-    u, v, a = state.u, state.v, state.a
-    for c in range(len(state.reaction)):
-        state.reaction[c] = 0.0
-    slip = friction_power(state.friction_force, v)
-    work = 0.5 * load_power(model.loads, state.value, state.point_force, v)
-    for i in range(len(model.mass)):
-        for d in range(2):
-            c = model.channel[i, d]
-            if c < 0:
-                v[i, d] += kick * a[i, d]
-                u[i, d] += dt * v[i, d]
-            else:
-                before, after = v[i, d], increment[c] / dt
-                a[i, d] = (after - before) / kick
-                reaction = model.mass[i] * a[i, d] - state.force[i, d]
-                state.reaction[c] += reaction
-                work += reaction * 0.5 * (before + after)
-                v[i, d] = after
-                u[i, d] += increment[c]
-    work += 0.5 * load_power(model.loads, state.value, state.point_force, v)
+def move(model: Model, layout: Layout, state: State, kick: float, dt: float, increment: Floats) -> None:
+    """Velocities over the interval ``kick``, reactions and their work, then displacements over the step.
+
+    The forces are used up: what is left is the constant load.
+    """
+    slip = friction_power(state.friction_force, state.v)
+    work = 0.5 * load_power(model.loads, state.value, state.point_force, state.v)
+    work += hold(model, layout, state, kick, dt, increment)
+    work += 0.5 * load_power(model.loads, state.value, state.point_force, state.v)
     for c in range(len(state.held)):
         rate = increment[c] / dt
         work += state.support[c] * 0.5 * (state.rate[c] + rate)
@@ -173,7 +172,7 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
         state.held[c] += increment[c]
         state.rate[c] = rate
     state.external[0] += kick * work
-    state.slip[0] += kick * 0.5 * (slip + friction_power(state.friction_force, v))
+    state.slip[0] += kick * 0.5 * (slip + friction_power(state.friction_force, state.v))
     for r in range(len(state.value)):
         state.load_impulse[r, 0] += kick * state.applied[r, 0]
         state.load_impulse[r, 1] += kick * state.applied[r, 1]
@@ -182,16 +181,49 @@ def move(model: Model, state: State, kick: float, dt: float, increment: Floats) 
         state.pair_impulse[k, 1] += kick * state.pair_force[k, 1]
 
 
+@kernel
+def hold(model: Model, layout: Layout, state: State, kick: float, dt: float, increment: Floats) -> float:
+    """Move all nodes, the prescribed ones by their increments; the power of the reactions, W/m."""
+    u, v, held = state.u, state.v, layout.held
+    for c in range(len(state.reaction)):
+        state.reaction[c] = 0.0
+    before = np.empty((len(held.node), 2))
+    power = 0.0
+    for h in range(len(held.node)):
+        i, d, c = held.node[h], held.axis[h], held.channel[h]
+        before[h, 0], before[h, 1] = u[i, d], v[i, d]
+        after = increment[c] / dt
+        state.a[i, d] = (after - v[i, d]) / kick
+        reaction = model.mass[i] * state.a[i, d] - state.force[i, d]
+        state.reaction[c] += reaction
+        power += reaction * 0.5 * (v[i, d] + after)
+    move_nodes(layout, u, v, state.force, kick, dt)
+    for h in range(len(held.node)):
+        i, d, c = held.node[h], held.axis[h], held.channel[h]
+        u[i, d], v[i, d] = before[h, 0] + increment[c], increment[c] / dt
+    return power
+
+
+@kernel
+def find_accelerations(model: Model, layout: Layout, state: State) -> None:
+    """Accelerations of the free degrees of freedom from the current forces, m/s^2."""
+    for i in range(len(model.mass)):
+        for d in range(2):
+            if model.channel[i, d] < 0:
+                state.a[i, d] = state.force[i, d] * layout.inverse_mass[i]
+
+
 @kernel(nogil=True)  # so that frames can be written meanwhile
-def advance(model: Model, state: State, search: Search, dt: float, increments: Floats) -> int:
+def advance(model: Model, layout: Layout, state: State, dt: float, increments: Floats) -> int:
     """Run one step for each row of increments; with none, only evaluate the forces.
 
     Parameters
     ----------
     model : Model
+    layout : Layout
+        From :func:`phantomnode.solver.layout.prepare_layout`.
     state : State
         Written in place; after a stop it holds the displacement at which the step failed.
-    search : Search
     dt : float, s
     increments : (steps, channels + rows) float64
         Displacement increment of each prescribed motion in each step, m; behind them the value of each load row
@@ -202,25 +234,26 @@ def advance(model: Model, state: State, search: Search, dt: float, increments: F
     int
         ``DONE``, ``INVERTED`` (some J <= 0) or ``NOT_FINITE``.
     """
-    candidates = find_candidates(model, state, search)
+    candidates = find_candidates(model, state, layout.search)
     if len(increments) == 0:
-        status = evaluate_elements(model, state)
+        status = evaluate_forces(model, layout, state)
         evaluate_contact(model, state, candidates)
-        return status
     damped = model.damping.mass > 0.0 or len(state.viscous) > 0
     for step in range(len(increments)):
         kick = 0.5 * dt if state.clock[1] == 0.0 else dt
         if damped:
             damp(model, state, kick, dt, increments[step])
-        move(model, state, kick, dt, increments[step])
+        move(model, layout, state, kick, dt, increments[step])
         state.clock[1] += 1.0
         state.clock[0] = state.clock[1] * dt
         for r in range(len(state.value)):
             state.value[r] = increments[step, model.channels + r]
-        status = evaluate_elements(model, state)
+        status = evaluate_elements(model, layout, state)
         if status != DONE:
             return status
-        if outdated(search, candidates, state.u):
-            candidates = find_candidates(model, state, search)
+        if outdated(layout.search, candidates, state.u):
+            candidates = find_candidates(model, state, layout.search)
         evaluate_contact(model, state, candidates)
-    return DONE
+    find_accelerations(model, layout, state)
+    find_smallest_jacobian(model, state)
+    return status

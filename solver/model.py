@@ -215,6 +215,8 @@ class Model(NamedTuple):
 class State(NamedTuple):
     """Everything that changes; written in place by the kernels.
 
+    The fields of the nodes u, v, a and force are stored by columns (order "F"), for the sake of vector code.
+
     u (n, 2) displacement at the current time, m; v (n, 2) velocity half a step back, m/s (at the start: the
     initial velocity); a (n, 2) acceleration at the current time (of prescribed degrees of freedom: the last
     known one, half a step back), m/s^2; force (n, 2) internal + hourglass + contact + load + support forces on

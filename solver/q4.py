@@ -1,6 +1,6 @@
 """Uncut elements: four nodes, one integration point, Flanagan-Belytschko hourglass stiffness.
 
-Total Lagrangian: P = tau F^-T at the centre, nodal force f_I = -V P grad N_I. The hourglass force
+Total Lagrangian: P = tau F^-T at the centre, nodal force f_I = -V P grad N_I (uncut.py). The hourglass force
 f = -k gamma (gamma . u) has the energy k (gamma . u)^2/2 in each direction.
 
 Source: D. P. Flanagan, T. Belytschko, A uniform strain hexahedron and quadrilateral with orthogonal hourglass
@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phantomnode.kernels import kernel
-from phantomnode.solver.block import BLOCK, QX, QY, ROOM, J, gather, stress_block, stress_of
 from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.model import Elements
 
@@ -106,48 +105,25 @@ def hourglass_mode(nodes: Ints, gamma: Floats, u: Floats) -> tuple[float, float]
 
 
 @kernel
-def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
-    """Add the internal and hourglass forces of the uncut elements; return the smallest J.
+def smallest_jacobian(nodes: Ints, first: Ints, gradient: Floats, u: Floats) -> float:
+    """Smallest J = det F of the points first[e] .. first[e + 1] of each element, NaN where one is not finite.
 
     Parameters
     ----------
-    elements : Elements
+    nodes : (e, 4) int64
+    first : (e + 1,) int64
+    gradient : (p, 4, 2) float64, 1/m
     u : (n, 2) float64, metres
-    force : (n, 2) float64, N/m
-        Added to, in the order of the elements.
-
-    Returns
-    -------
-    float
-        The smallest J met; NaN where one is not finite.
     """
-    smallest, lost = math.inf, False
-    block, total = np.zeros(ROOM), len(elements.volume)
-    for start in range(0, total, BLOCK):
-        count = min(BLOCK, total - start)
-        gather_elements(block, elements, start, count, u)
-        stress_block(block, count)
-        for k in range(count):
-            e = start + k
-            p11, p12, p21, p22 = stress_of(block, k)
-            j, qx, qy = block[J + k], block[QX + k], block[QY + k]
-            smallest, lost = min(smallest, j), lost or not j < math.inf
-            for i in range(4):
-                n, gx, gy = elements.nodes[e, i], elements.gradient[e, i, 0], elements.gradient[e, i, 1]
-                force[n, 0] -= p11 * gx + p12 * gy + qx * elements.gamma[e, i]
-                force[n, 1] -= p21 * gx + p22 * gy + qy * elements.gamma[e, i]
-    return math.nan if lost else smallest
-
-
-@kernel
-def gather_elements(block: Floats, elements: Elements, start: int, count: int, u: Floats) -> None:
-    """Fill a block with the elements from ``start`` on: displacement gradients and hourglass forces."""
-    for k in range(count):
-        e = start + k
-        nodes, v = elements.nodes[e], elements.volume[e]
-        gather(block, k, nodes, elements.gradient[e], v * elements.lame[e], v * elements.shear[e], u)
-        qx, qy = hourglass_mode(nodes, elements.gamma[e], u)
-        block[QX + k], block[QY + k] = elements.hourglass[e] * qx, elements.hourglass[e] * qy
+    smallest = math.inf
+    for e in range(len(nodes)):
+        for p in range(first[e], first[e + 1]):
+            h11, h12, h21, h22 = displacement_gradient(nodes[e], gradient[p], u)
+            j = 1.0 + (h11 + h22 + (h11 * h22 - h12 * h21))
+            if not j < math.inf:
+                return math.nan
+            smallest = min(smallest, j)
+    return smallest
 
 
 @kernel

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.solver.cut_elements import cut_energy
-from phantomnode.solver.explicit import Frame, Motion, broken, unbalanced
-from phantomnode.solver.leapfrog import DONE, evaluate_elements, initial_state
+from phantomnode.solver.explicit import Frame, Motion, broken, copied, unbalanced
+from phantomnode.solver.layout import prepare_layout
+from phantomnode.solver.leapfrog import DONE, evaluate_forces, find_smallest_jacobian, initial_state
 from phantomnode.solver.model import Energies, Model, State
 from phantomnode.solver.q4 import element_energies
-from phantomnode.solver.search import prepare_search
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -124,7 +124,8 @@ def frames(
     start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
     # Nodal masses tell momentum only here and may vanish (shifted enrichment): they move nothing.
     unit = model._replace(mass=np.ones(len(model.x)))
-    state = initial_state(unit, start, prepare_search(model.contact))
+    layout = prepare_layout(model)
+    state = initial_state(unit, start, layout)
     last = None
     for step in range(int(due[-1]) + 1):
         increment = motion.increments(step, 1, dt)[0]
@@ -138,7 +139,7 @@ def frames(
                 yield frame
         if step < due[-1]:
             _move(model, state, reaction, increment, dt)
-            if evaluate_elements(model, state) != DONE:
+            if evaluate_forces(model, layout, state) != DONE:
                 assert last is not None  # step 0 always makes a frame
                 raise broken(model, state, last)
 
@@ -177,6 +178,7 @@ def _frame(
     """The frame of a state whose acceleration is known."""
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     v = state.v + half * state.a
+    find_smallest_jacobian(model, state)
     internal, hourglass = element_energies(model.elements, state.u)
     now = Energies(
         kinetic=0.5 * float(np.sum(v * inertia.momentum(v))),
@@ -194,7 +196,7 @@ def _frame(
     held = model.channel >= 0
     channels = np.zeros(model.channels)
     np.add.at(channels, model.channel[held], reaction[held])
-    copy = State._make(field.copy() for field in state)
+    copy = copied(state)
     return Frame(
         time=float(state.clock[0]),
         step=int(state.clock[1]),

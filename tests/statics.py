@@ -10,8 +10,8 @@ from phantomnode.geometry.bilinear import shape, to_local
 from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.elements import THREE_POINTS
 from phantomnode.pipeline.prepare import prepare
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import advance, initial_state
-from phantomnode.solver.search import prepare_search
 from phantomnode.solver.stress import cut_stress, element_stress
 from phantomnode.solver.timestep import _strain_stiffness
 
@@ -57,12 +57,12 @@ def loaded_plate():
 
 def forces(model, u, value=None, held=None):
     """(n, 2) Forces on the nodes at a displacement, for given values of the loads and supports."""
-    search = prepare_search(model.contact)
-    state = initial_state(model, np.zeros_like(model.x), search)
+    layout = prepare_layout(model)
+    state = initial_state(model, np.zeros_like(model.x), layout)
     state.u[:] = u
     state.value[:] = 0.0 if value is None else value
     state.held[:] = 0.0 if held is None else held
-    advance(model, state, search, 0.0, np.zeros((0, model.channels)))
+    advance(model, layout, state, 0.0, np.zeros((0, model.channels)))
     return state.force
 
 

@@ -13,9 +13,9 @@ from phantomnode.solver.damping import (
     damp,
     hourglass_viscosity,
 )
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import NO_DAMPING, CutElements
-from phantomnode.solver.search import prepare_search
 
 
 def points_of(e):
@@ -111,7 +111,7 @@ def test_mass_damping_agrees_with_its_numpy_twin():
     channel = np.full(u.shape, -1)
     channel[:4, 0] = 0
     model = damped(model._replace(channel=channel, channels=1), mass=700.0, linear=0.06, hourglass=0.05)
-    state = initial_state(model, v, prepare_search(model.contact))
+    state = initial_state(model, v, prepare_layout(model))
     state.u[:] = u
     rng = np.random.default_rng(5)
     state.force[:], state.viscous[:] = rng.normal(size=u.shape), rng.normal(size=u.shape)
@@ -122,7 +122,7 @@ def test_mass_damping_agrees_with_its_numpy_twin():
     drag = -700.0 * m * mean
     damp(model, state, kick, dt, np.array([increment]))
     np.testing.assert_allclose(state.force, before + drag, rtol=1e-13)
-    np.testing.assert_allclose((v + kick * state.a)[free], after[free], rtol=1e-13)
+    np.testing.assert_allclose((v + kick * state.force / m)[free], after[free], rtol=1e-12)
     lost = -kick * np.sum((drag + state.viscous) * mean)
     assert state.dissipated[0] == pytest.approx(lost, rel=1e-13)
 

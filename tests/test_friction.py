@@ -11,6 +11,7 @@ from phantomnode.solver.contact import add_contact_forces, contact_energy, depth
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import frames
 from phantomnode.solver.friction import add_friction_forces, friction_power
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Contact, Model, State
 from phantomnode.solver.q4 import one_point_elements
@@ -323,5 +324,5 @@ def test_the_step_is_stable_with_friction():
 
 def test_without_friction_nothing_is_kept():
     model, _ = block_on_a_rigid_plane(0.0, 0.3)
-    state = initial_state(model, np.zeros_like(model.x), prepare_search(model.contact))
+    state = initial_state(model, np.zeros_like(model.x), prepare_layout(model))
     assert len(state.anchor) == len(state.tangential) == len(state.friction_force) == 0

@@ -12,8 +12,8 @@ from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.prepare import prepare
 from phantomnode.pipeline.run import check, run
-from phantomnode.solver.leapfrog import evaluate_elements, initial_state
-from phantomnode.solver.search import prepare_search
+from phantomnode.solver.layout import prepare_layout
+from phantomnode.solver.leapfrog import evaluate_forces, initial_state
 from phantomnode.solver.stress import cut_stress, element_stress
 
 YOUNG, NU, RHO = 1e10, 0.3, 7800.0
@@ -42,14 +42,15 @@ SIDES = {"sides": {"on": {"body": "bar", "box": [[-1.0, -1.0], [3.0, 3.0]]}, "di
 def lowest_frequency(prepared):
     """First elastic frequency along x, rad/s, from the nodal forces of the prepared model and its masses."""
     model = prepared.model
-    state = initial_state(model, np.zeros_like(model.x), prepare_search(model.contact))
+    layout = prepare_layout(model)
+    state = initial_state(model, np.zeros_like(model.x), layout)
     step, columns = 1e-7, []
     for k in range(len(model.x)):
         side = []
         for sign in (1.0, -1.0):
             state.u[:] = 0.0
             state.u[k, 0] = sign * step
-            evaluate_elements(model, state)
+            evaluate_forces(model, layout, state)
             side.append(state.force[:, 0].copy())
         columns.append((side[1] - side[0]) / (2 * step))
     stiffness = np.column_stack(columns)

@@ -25,12 +25,15 @@ from phantomnode.geometry.levelset import LevelSet
 from phantomnode.solver.contact import OPEN, reported
 from phantomnode.solver.damping import add_bulk_viscosity, add_hourglass_viscosity, add_viscous_forces
 from phantomnode.solver.friction import let_go, slide
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import (
     DONE,
     advance,
     evaluate_contact,
-    evaluate_elements,
+    evaluate_forces,
+    find_accelerations,
     find_candidates,
+    find_smallest_jacobian,
     initial_state,
     move,
 )
@@ -63,15 +66,18 @@ def test_every_kernel_is_compared_with_numpy():
     assert set(kernels()) == set(twinned())
 
 
-@pytest.mark.twin("leapfrog.move")
+@pytest.mark.twin(
+    "leapfrog.move", "leapfrog.hold", "motion.move_nodes", "motion.move_range", "motion.add_load"
+)
 def test_motion_agrees_with_numpy():
     """Velocity, displacement, reactions, impulses and works of one step; nodes free and prescribed."""
     rng = np.random.default_rng(7)
     x, quads = grid(3, 2, 0.1)
     channel = np.full(x.shape, -1)
     channel[:3, 0], channel[2:5, 1] = 0, 1
-    model = model_of(x, quads, channel=channel)
-    state = initial_state(model, rng.normal(size=x.shape), prepare_search(model.contact))
+    model = model_of(x, quads, channel=channel, load=(3.0, -9.0))
+    layout = prepare_layout(model)
+    state = initial_state(model, rng.normal(size=x.shape), layout)
     extra = {name: rng.normal(size=2) for name in ("held", "rate", "support", "support_impulse")}
     state = state._replace(
         friction_force=rng.normal(size=x.shape), slip=np.ones(1), value=rng.normal(size=2),
@@ -81,10 +87,10 @@ def test_motion_agrees_with_numpy():
     state.u[:], state.a[:], state.force[:] = rng.normal(size=(3, *x.shape))
     old = {name: np.copy(value) for name, value in state._asdict().items()}
     kick, dt, increment = 0.3, 0.4, rng.normal(size=2)
-    move(model, state, kick, dt, increment)
+    move(model, layout, state, kick, dt, increment)
 
     held, rate = channel >= 0, increment / dt
-    v = np.where(held, rate[channel], old["v"] + kick * old["a"])
+    v = np.where(held, rate[channel], old["v"] + kick * old["force"] / model.mass[:, None])
     a = (v - old["v"]) / kick
     reaction = np.where(held, model.mass[:, None] * a - old["force"], 0.0)
     mean = 0.5 * (old["v"] + v)
@@ -93,6 +99,7 @@ def test_motion_agrees_with_numpy():
         "v": v,
         "u": old["u"] + np.where(held, increment[channel], dt * v),
         "a": np.where(held, a, old["a"]),
+        "force": model.load,
         "reaction": [reaction[channel == c].sum() for c in (0, 1)],
         "external": old["external"] + kick * work,
         "slip": old["slip"] + kick * np.sum(old["friction_force"] * mean),
@@ -107,7 +114,10 @@ def test_motion_agrees_with_numpy():
         np.testing.assert_allclose(getattr(state, name), value, atol=1e-13 * scale, rtol=0, err_msg=name)
 
 
-@pytest.mark.twin("leapfrog.evaluate_elements", "leapfrog.evaluate_contact")
+@pytest.mark.twin(
+    "leapfrog.evaluate_forces", "leapfrog.evaluate_elements", "leapfrog.evaluate_contact",
+    "leapfrog.find_accelerations", "leapfrog.find_smallest_jacobian", "motion.reset",
+)  # fmt: skip
 def test_forces_and_accelerations_of_a_step_agree_with_numpy():
     """Two blocks that overlap: load, elements and contact add up; accelerations where free, peak of the pair."""
     rng = np.random.default_rng(9)
@@ -116,13 +126,14 @@ def test_forces_and_accelerations_of_a_step_agree_with_numpy():
     channel[:2, 1] = 0
     load = rng.normal(size=velocity.shape)
     model = model._replace(channel=channel, channels=1, load=load)
-    search = prepare_search(model.contact)
-    state = initial_state(model, velocity, search)
+    layout = prepare_layout(model)
+    state = initial_state(model, velocity, layout)
     state.u[above] -= [0.0, 0.02]
     state.u[:] += 1e-3 * rng.uniform(-1, 1, velocity.shape)
     before = state.a.copy()
-    assert evaluate_elements(model, state) == DONE
-    evaluate_contact(model, state, find_candidates(model, state, search))
+    assert evaluate_forces(model, layout, state) == DONE
+    evaluate_contact(model, state, find_candidates(model, state, layout.search))
+    find_accelerations(model, layout, state)
     inner, contact = twin_forces(model.elements, state.u), twin_contact(model.contact, model.x + state.u)[0]
     expected, scale = load + inner + contact, max(np.abs(inner).max(), np.abs(contact).max())
     assert np.abs(contact).max() > 0.0
@@ -131,6 +142,10 @@ def test_forces_and_accelerations_of_a_step_agree_with_numpy():
         state.a, np.where(channel < 0, state.force / model.mass[:, None], before), rtol=1e-13
     )
     assert state.pair_peak[0] == pytest.approx(np.hypot(*contact[above].sum(axis=0)), abs=1e-13 * scale)
+    find_smallest_jacobian(model, state)
+    e = model.elements
+    f = np.eye(2) + np.einsum("mia,mib->mab", state.u[e.nodes], e.gradient)
+    assert state.smallest_j[0] == pytest.approx(np.linalg.det(f).min(), rel=1e-13)
 
 
 @pytest.mark.twin("leapfrog.advance")
@@ -140,8 +155,8 @@ def test_a_run_agrees_with_numpy():
     channel = np.full(v.shape, -1)
     channel[:2, 1] = 0
     model = model._replace(channel=channel, channels=1)
-    search, dt, steps = prepare_search(model.contact), 2e-6, 12
-    state = initial_state(model, v, search)
+    layout, dt, steps = prepare_layout(model), 2e-6, 12
+    state = initial_state(model, v, layout)
     state.u[above] -= [0.0, 0.004]
     x, u, impulse, peak = model.x, state.u.copy(), 0.0, 0.0
     increments = 1e-5 * np.random.default_rng(8).uniform(0, 1, (steps, 1))
@@ -150,8 +165,8 @@ def test_a_run_agrees_with_numpy():
         contact = twin_contact(model.contact, x + u)[0]
         return twin_forces(model.elements, u) + contact, contact[above].sum(axis=0)
 
-    assert advance(model, state, search, dt, np.zeros((0, 1))) == DONE
-    assert advance(model, state, search, dt, increments) == DONE
+    assert advance(model, layout, state, dt, np.zeros((0, 1))) == DONE
+    assert advance(model, layout, state, dt, increments) == DONE
     force, on_slave = forces(u)
     for step, (push,) in enumerate(increments):
         kick = dt if step else 0.5 * dt
@@ -172,11 +187,11 @@ def test_a_run_agrees_with_numpy():
 @pytest.mark.twin("leapfrog.find_candidates")
 def test_what_is_found_anew_is_open_until_its_forces_are_known():
     model, velocity, _ = two_blocks()
-    search = prepare_search(model.contact)
-    state = initial_state(model, velocity, search)
+    layout = prepare_layout(model)
+    state = initial_state(model, velocity, layout)
     state.gap[:] = 1.0
-    found = find_candidates(model, state, search)
-    expected = build_candidates(model.contact, search, model.x, state.u)
+    found = find_candidates(model, state, layout.search)
+    expected = build_candidates(model.contact, layout.search, model.x, state.u)
     count = expected.near_first[-1]
     assert found.near_first.tolist() == expected.near_first.tolist() and count > 0
     for name, used in (("near", count), ("first", count + 1), ("segments", expected.first[count])):
@@ -264,7 +279,7 @@ def test_viscous_forces_are_the_sum_of_both_viscosities():
     """Each has a NumPy twin of its own; here they add up, in the force and in what damping books."""
     model, u, v = distorted()
     model = damped(model, linear=0.06, quadratic=1.2, hourglass=0.05)
-    state = initial_state(model, v, prepare_search(model.contact))
+    state = initial_state(model, v, prepare_layout(model))
     state.u[:], state.force[:] = u, np.ones_like(u)
     expected = np.zeros_like(u)
     add_bulk_viscosity(model.damping.bulk, u, v, expected)
@@ -280,7 +295,8 @@ def test_viscous_forces_are_the_sum_of_both_viscosities():
 def test_points_without_candidates_let_go_of_their_anchors():
     """Those that are near keep theirs; what stands behind the last pair in the list is not looked at."""
     contact, x = point_contact([[0.5, 0.98], [0.5, 9.0], [0.4, 0.99], [0.3, 9.0]], SQUARE, 0.1)
-    state = initial_state(model_of(*grid(1, 1, 1.0)), np.zeros((4, 2)), prepare_search(contact_of_none()))
+    model = model_of(*grid(1, 1, 1.0))
+    state = initial_state(model, np.zeros((4, 2)), prepare_layout(model))
     state = state._replace(anchor=np.array([3, 2, 1, 0]), tangential=np.ones((4, 2)))
     candidates = build_candidates(contact, prepare_search(contact), x, np.zeros_like(x))
     let_go(candidates, state)

@@ -101,16 +101,16 @@ def test_a_flat_patch_bears_the_same_pressure_by_every_rule(points):
 
 def test_two_passes_bear_what_one_does():
     """A rigid push on a flat patch: the same force, shared by the points of both sides; momentum to rounding."""
+    from phantomnode.solver.layout import prepare_layout
     from phantomnode.solver.leapfrog import advance, initial_state
-    from phantomnode.solver.search import prepare_search
 
     found = {}
     for passes in (1, 2):
         prepared = stacked(passes=passes)
-        search = prepare_search(prepared.model.contact)
-        state = initial_state(prepared.model, prepared.velocity, search)
+        layout = prepare_layout(prepared.model)
+        state = initial_state(prepared.model, prepared.velocity, layout)
         state.u[prepared.bodies[1].nodes, 1] = -1e-3
-        advance(prepared.model, state, search, 0.0, np.zeros((0, prepared.model.channels)))
+        advance(prepared.model, layout, state, 0.0, np.zeros((0, prepared.model.channels)))
         found[passes] = state
         assert state.pair_force.shape == (1, 2)
         lower, upper = (state.force[b.nodes].sum(axis=0) for b in prepared.bodies)

@@ -11,8 +11,8 @@ from scipy.optimize import brentq
 from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.prepare import prepare
 from phantomnode.solver.explicit import energies
-from phantomnode.solver.leapfrog import evaluate_elements, initial_state
-from phantomnode.solver.search import prepare_search
+from phantomnode.solver.layout import prepare_layout
+from phantomnode.solver.leapfrog import evaluate_forces, initial_state
 from phantomnode.solver.stress import cut_stress, element_stress
 
 YOUNG, NU = 1e10, 0.3
@@ -73,9 +73,10 @@ def tilted(option="default", grid="cartesian"):
 
 def state_at(prepared, u):
     model = prepared.model
-    state = initial_state(model, np.zeros_like(model.x), prepare_search(model.contact))
+    layout = prepare_layout(model)
+    state = initial_state(model, np.zeros_like(model.x), layout)
     state.u[:] = u
-    assert evaluate_elements(model, state) == 0
+    assert evaluate_forces(model, layout, state) == 0
     return state
 
 

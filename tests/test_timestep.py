@@ -10,10 +10,10 @@ import pytest
 from phantomnode.geometry.bilinear import gradients, to_local
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import initial_state
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import advance
 from phantomnode.solver.model import Contact, Model
 from phantomnode.solver.q4 import one_point_elements
-from phantomnode.solver.search import prepare_search
 from phantomnode.solver.timestep import stable_step
 
 LAME, SHEAR, RHO = 5.769e9, 3.846e9, 7800.0
@@ -130,7 +130,7 @@ def shape_of(local):
     return 0.25 * np.prod(1.0 + LOCAL[None] * local[:, None], axis=2)
 
 
-def tangent(model, state, search, step=1e-8):
+def tangent(model, state, layout, step=1e-8):
     """(2n, 2n) Minus the slope of the forces at rest, by central differences, with the anchors as they are."""
     keep = [field.copy() for field in (state.anchor, state.anchor_at)]
     columns = []
@@ -140,7 +140,7 @@ def tangent(model, state, search, step=1e-8):
             state.anchor[:], state.anchor_at[:] = keep
             state.u[:] = 0.0
             state.u.flat[k] = sign * step
-            advance(model, state, search, 0.0, np.zeros((0, 0)))
+            advance(model, layout, state, 0.0, np.zeros((0, 0)))
             side.append(state.force.ravel().copy())
         columns.append((side[1] - side[0]) / (2 * step))
     state.anchor[:], state.anchor_at[:] = keep
@@ -149,10 +149,10 @@ def tangent(model, state, search, step=1e-8):
 
 def assembled_stiffness(model):
     """With every slave point closed and stuck."""
-    search = prepare_search(model.contact)
-    state = initial_state(model, np.zeros_like(model.x), search)
+    layout = prepare_layout(model)
+    state = initial_state(model, np.zeros_like(model.x), layout)
     assert np.all(state.gap > 0.0)
-    return tangent(model, state, search)
+    return tangent(model, state, layout)
 
 
 class Springs(NamedTuple):
@@ -257,17 +257,17 @@ def test_the_tangent_of_slip_is_that_of_the_kernel(sense):
         model = random_cut(seed)
         if not model.contact.friction[0] > 0.0:
             continue
-        search = prepare_search(model.contact)
-        state = initial_state(model, np.zeros_like(model.x), search)
+        layout = prepare_layout(model)
+        state = initial_state(model, np.zeros_like(model.x), layout)
         assert np.all(state.anchor >= 0)
         held, seen = springs(model), seen + 1
         yes = np.ones(len(state.anchor), dtype=bool)
-        bodies = tangent(model, state, search) - held.stiffness(yes, yes, sense)
+        bodies = tangent(model, state, layout) - held.stiffness(yes, yes, sense)
         # Half a segment behind, where mu eps g/eps_t is some 1e-6 m; segments run to the left.
         state.anchor_at[:] += 0.5 * sense
         # The place on a segment at that distance is right to 1e-6 of it where the anchor is 1e5 times as far, so the
         # gap is moved by half; the normal force is off by that distance from its point: mu eps g/(eps_t h), 5e-5.
-        found = tangent(model, state, search, 5e-7) - bodies
+        found = tangent(model, state, layout, 5e-7) - bodies
         wanted = held.stiffness(yes, ~yes, sense)
         assert np.abs(found - wanted).max() < 2e-4 * np.abs(wanted).max()
         assert np.abs(wanted - wanted.T).max() > 0.1 * np.abs(wanted).max()
@@ -276,8 +276,8 @@ def test_the_tangent_of_slip_is_that_of_the_kernel(sense):
 
 def true_limit(model):
     """2/omega of the assembled model, linearised by differences of the forces."""
-    search = prepare_search(model.contact)
-    state = initial_state(model, np.zeros_like(model.x), search)
+    layout = prepare_layout(model)
+    state = initial_state(model, np.zeros_like(model.x), layout)
     assert model.contact.penalty[0] == 0.0 or np.all(
         state.gap[:-1] > 0.0
     )  # the last may stand beyond the end
@@ -288,7 +288,7 @@ def true_limit(model):
         for sign in (1.0, -1.0):
             state.u[:] = 0.0
             state.u.flat[k] = sign * step
-            advance(model, state, search, 0.0, np.zeros((0, 0)))
+            advance(model, layout, state, 0.0, np.zeros((0, 0)))
             side.append(state.force.ravel().copy())
         stiffness[:, k] = (side[1] - side[0]) / (2 * step)
     scale = 1.0 / np.sqrt(np.repeat(model.mass, 2))

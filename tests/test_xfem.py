@@ -22,8 +22,8 @@ from phantomnode.pipeline.xfem import (
     xfem_mass,
 )
 from phantomnode.solver.cut_elements import add_cut_forces
-from phantomnode.solver.q4 import add_element_forces
 from phantomnode.solver.stress import cut_stress, element_stress
+from phantomnode.solver.uncut import add_element_forces
 from phantomnode.solver.xfem import frames, heaviside_basis
 
 E, NU, RHO = 3.0e9, 0.3, 1200.0

@@ -1,0 +1,191 @@
+"""Forces of the uncut elements: uniform rows and scattered elements, strip by strip, on one thread or several.
+
+All go through the same arithmetic (block.py); they differ in how displacements come in and forces go out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+from numpy.typing import NDArray
+
+from phantomnode.kernels import kernel
+from phantomnode.solver.block import (
+    A1X,
+    A1Y,
+    A2X,
+    A2Y,
+    BLOCK,
+    CX,
+    CY,
+    D1X,
+    D1Y,
+    D2X,
+    D2Y,
+    G1X,
+    HX,
+    HY,
+    ROOM,
+    element_block,
+)
+from phantomnode.solver.layout import Rows, Scattered, scattered_lists
+from phantomnode.solver.model import Elements
+from phantomnode.solver.q4 import smallest_jacobian
+
+Floats = NDArray[np.float64]
+
+CONSTANTS = 9
+"""Rows of a block that hold constants, from G1X on."""
+
+
+def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
+    """Add the internal and hourglass forces of uncut elements, as scattered ones, to the nodal forces.
+
+    Parameters
+    ----------
+    elements : Elements
+    u : (n, 2) float64, metres
+    force : (n, 2) float64, N/m
+        Added to, in the order of the elements.
+
+    Returns
+    -------
+    float
+        The smallest J met; NaN where one is not finite.
+    """
+    add_uncut_forces(*scattered_lists(elements), u, force, 1)
+    return smallest_jacobian(elements.nodes, np.arange(len(elements.nodes) + 1), elements.gradient, u)
+
+
+@kernel
+def add_uncut_forces(rows: Rows, scattered: Scattered, u: Floats, force: Floats, threads: int) -> int:
+    """Add the internal and hourglass forces of the uncut elements.
+
+    Parameters
+    ----------
+    rows : Rows
+    scattered : Scattered
+    u : (n, 2) float64, metres
+    force : (n, 2) float64, N/m
+        Added to: by the even strips, then by the odd ones, in each by the rows, then by the scattered elements.
+    threads : int
+        One, or more: then as many as numba is told take part.
+
+    Returns
+    -------
+    int
+        How many elements are unsound: J not positive or not finite.
+    """
+    if threads > 1:
+        return add_by_threads(rows, scattered, u, force)
+    unsound, strips = 0, len(rows.strip) - 1
+    for parity in range(2):
+        for s in range(parity, strips, 2):
+            unsound += add_strip(rows, scattered, s, u, force)
+    return unsound
+
+
+@kernel(parallel=True)
+def add_by_threads(rows: Rows, scattered: Scattered, u: Floats, force: Floats) -> int:
+    """The same by several threads: strips of one parity share no nodes."""
+    strips = len(rows.strip) - 1
+    unsound = np.zeros(strips, dtype=np.int64)
+    for s in prange((strips + 1) // 2):
+        unsound[2 * s] = add_strip(rows, scattered, 2 * s, u, force)
+    for s in prange(strips // 2):
+        unsound[2 * s + 1] = add_strip(rows, scattered, 2 * s + 1, u, force)
+    return unsound.sum()
+
+
+@kernel
+def add_strip(rows: Rows, scattered: Scattered, strip: int, u: Floats, force: Floats) -> int:
+    """Add the forces of the elements of one strip; how many are unsound."""
+    block, unsound, kind = np.zeros(ROOM), 0, -1
+    for r in range(rows.strip[strip], rows.strip[strip + 1]):
+        if rows.kind[r] != kind:
+            kind = rows.kind[r]
+            fill_constants(block, rows.constants[kind])
+        for start in range(0, rows.length[r], BLOCK):
+            count = min(BLOCK, rows.length[r] - start)
+            low, high = rows.low[r] + start, rows.high[r] + start
+            for axis in range(2):
+                difference_row(block, axis, u[low : low + count + 1, axis], u[high : high + count + 1, axis])
+            unsound += element_block(block, count)
+            for axis in range(2):
+                add_row(block, axis, force[low : low + count + 1, axis], force[high : high + count + 1, axis])
+    first, last = scattered.strip[strip], scattered.strip[strip + 1]
+    for start in range(first, last, BLOCK):
+        count = min(BLOCK, last - start)
+        gather(block, scattered, start, count, u)
+        unsound += element_block(block, count)
+        scatter(block, scattered, start, count, force)
+    return unsound
+
+
+@kernel
+def fill_constants(block: Floats, constants: Floats) -> None:
+    """Set the (9,) constants of all elements of the block."""
+    for c in range(CONSTANTS):
+        row = block[G1X + c * BLOCK : G1X + (c + 1) * BLOCK]
+        for k in range(BLOCK):
+            row[k] = constants[c]
+
+
+@kernel
+def difference_row(block: Floats, axis: int, low: Floats, high: Floats) -> None:
+    """Differences of one component of the displacement along the lower and the upper side of a row, (count + 1,)."""
+    shift = axis * BLOCK
+    d1, d2, h = block[D1X + shift : D1X + shift + BLOCK], block[D2X + shift :], block[HX + shift :]
+    for k in range(len(low) - 1):
+        u1, u2, u3, u4 = low[k], low[k + 1], high[k + 1], high[k]
+        d1[k], d2[k], h[k] = u1 - u3, u2 - u4, (u1 - u2) + (u3 - u4)
+
+
+@kernel
+def add_row(block: Floats, axis: int, low: Floats, high: Floats) -> None:
+    """Add one component of the forces of a row to the nodes of its lower and its upper side, (count + 1,)."""
+    shift, last = axis * BLOCK, len(low) - 1
+    a1, a2, c = block[A1X + shift :], block[A2X + shift :], block[CX + shift :]
+    low[0] -= a1[0] + c[0]
+    high[0] += a2[0] + c[0]
+    for k in range(1, last):
+        low[k] += (c[k - 1] - a2[k - 1]) - (a1[k] + c[k])
+        high[k] += (a1[k - 1] - c[k - 1]) + (a2[k] + c[k])
+    low[last] += c[last - 1] - a2[last - 1]
+    high[last] += a1[last - 1] - c[last - 1]
+
+
+@kernel
+def gather(block: Floats, scattered: Scattered, start: int, count: int, u: Floats) -> None:
+    """Differences and constants of the elements from ``start`` on."""
+    ux, uy = u[:, 0], u[:, 1]
+    nodes = scattered.nodes[start : start + count]
+    for k in range(count):
+        n1, n2, n3, n4 = nodes[k, 0], nodes[k, 1], nodes[k, 2], nodes[k, 3]
+        u1, u2, u3, u4 = ux[n1], ux[n2], ux[n3], ux[n4]
+        block[D1X + k], block[D2X + k], block[HX + k] = u1 - u3, u2 - u4, (u1 - u2) + (u3 - u4)
+        u1, u2, u3, u4 = uy[n1], uy[n2], uy[n3], uy[n4]
+        block[D1Y + k], block[D2Y + k], block[HY + k] = u1 - u3, u2 - u4, (u1 - u2) + (u3 - u4)
+    for c in range(CONSTANTS):
+        row, given = block[G1X + c * BLOCK :], scattered.constants[c, start : start + count]
+        for k in range(count):
+            row[k] = given[k]
+
+
+@kernel
+def scatter(block: Floats, scattered: Scattered, start: int, count: int, force: Floats) -> None:
+    """Add the forces of the elements from ``start`` on to their nodes."""
+    fx, fy = force[:, 0], force[:, 1]
+    nodes = scattered.nodes[start : start + count]
+    for k in range(count):
+        n1, n2, n3, n4 = nodes[k, 0], nodes[k, 1], nodes[k, 2], nodes[k, 3]
+        a1, a2, c = block[A1X + k], block[A2X + k], block[CX + k]
+        fx[n1] -= a1 + c
+        fx[n2] += c - a2
+        fx[n3] += a1 - c
+        fx[n4] += a2 + c
+        a1, a2, c = block[A1Y + k], block[A2Y + k], block[CY + k]
+        fy[n1] -= a1 + c
+        fy[n2] += c - a2
+        fy[n3] += a1 - c
+        fy[n4] += a2 + c
