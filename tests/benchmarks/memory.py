@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
-from phantomnode.solver.search import prepare_search
 
 from .blocks import side_of, uniform_block, waves
 from .measure import Figure, Plan, duration, python
@@ -48,9 +48,9 @@ def memory(plan: Plan) -> Iterator[Figure]:
     """Of a uniform block; the peak is that of a process that prepares it and takes a step."""
     side = side_of(1e4, plan)
     prepared = uniform_block(side)
-    search = prepare_search(prepared.model.contact)
-    state = initial_state(prepared.model, waves(prepared, side), search)
-    loop = nbytes((prepared.model, state, search)) / side**2
+    layout = prepare_layout(prepared.model)
+    state = initial_state(prepared.model, waves(prepared, side), layout)
+    loop = nbytes((prepared.model, state, layout)) / side**2
     yield Figure("memory of the loop's arrays", None, loop, "bytes/element", "uniform block, 10k")
     side = side_of(1e6, plan)
     empty, full = (int(python("-c", PEAK, str(cells)).output) for cells in (4, side))

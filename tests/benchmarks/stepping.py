@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.prepare import Prepared
+from phantomnode.solver.explicit import copied
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import DONE, advance, initial_state
 from phantomnode.solver.model import Model, State
-from phantomnode.solver.search import prepare_search
 
 Floats = NDArray[np.float64]
 
@@ -20,11 +21,11 @@ def started(prepared: Prepared, velocity: Floats) -> Callable[[int], None]:
 
     The case has no load that changes with time and no prescribed motion.
     """
-    model, search = prepared.model, prepare_search(prepared.model.contact)
-    state = initial_state(model, velocity, search)
+    model, layout = prepared.model, prepare_layout(prepared.model)
+    state = initial_state(model, velocity, layout)
 
     def go(steps: int) -> None:
-        expect_done(advance(model, state, search, prepared.dt, np.zeros((steps, 0))))
+        expect_done(advance(model, layout, state, prepared.dt, np.zeros((steps, 0))))
 
     go(0)
     return go
@@ -35,11 +36,10 @@ def from_state(model: Model, state: State, dt: float, increments: Floats) -> Cal
 
     increments: (steps, channels), m, of the prescribed motions.
     """
-    search = prepare_search(model.contact)
+    layout = prepare_layout(model)
 
     def go() -> None:
-        copy = State._make(field.copy() for field in state)
-        expect_done(advance(model, copy, search, dt, increments))
+        expect_done(advance(model, layout, copied(state), dt, increments))
 
     return go
 
