@@ -225,7 +225,7 @@ def frames(
     """
     due = np.asarray(steps_at, dtype=np.int64)
     layout = prepare_layout(model, threads)
-    if layout.threads > 1:
+    if layout.threads is not None:
         set_num_threads(layout.threads)
     if resume is None:
         start = np.array(velocity, dtype=np.float64)

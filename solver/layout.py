@@ -85,7 +85,7 @@ class Layout(NamedTuple):
 
     rows, scattered: the uncut elements, none where they are integrated in full; full, cut: the points of the others;
     inverse_mass (n,), m/kg, 0 without mass; load (n, 2) constant nodal force, N/m, empty where there is none; held;
-    search: the nodes of the contact pairs; threads: how many take part, 1 for the loop's own.
+    search: the nodes of the contact pairs; threads: how many take part, None for the loop's own alone.
     """
 
     rows: Rows
@@ -96,7 +96,7 @@ class Layout(NamedTuple):
     load: Floats
     held: Held
     search: Search
-    threads: int
+    threads: int | None
 
 
 def prepare_layout(model: Model, threads: int = 1) -> Layout:
@@ -105,6 +105,7 @@ def prepare_layout(model: Model, threads: int = 1) -> Layout:
     rows, scattered = uncut_lists(_none_of(model.elements) if whole else model.elements, model.x)
     mass, held = model.mass, np.argwhere(model.channel >= 0)
     load = model.load if np.any(model.load) else np.zeros((0, 2))
+    most = min(threads, len(rows.strip) // 2)
     return Layout(
         rows=rows,
         scattered=scattered,
@@ -118,7 +119,7 @@ def prepare_layout(model: Model, threads: int = 1) -> Layout:
             model.channel[held[:, 0], held[:, 1]],
         ),
         search=prepare_search(model.contact),
-        threads=max(1, min(threads, len(rows.strip) // 2)),
+        threads=most if most > 1 else None,
     )
 
 

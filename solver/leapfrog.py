@@ -21,8 +21,8 @@ from phantomnode.solver.contact import OPEN, add_contact_forces, pairs_of
 from phantomnode.solver.cut_elements import add_point_forces
 from phantomnode.solver.damping import add_viscous_forces, damp, is_viscous
 from phantomnode.solver.friction import add_friction_forces, friction_power, let_go
-from phantomnode.solver.layout import Layout
-from phantomnode.solver.model import Model, State
+from phantomnode.solver.layout import Held, Layout
+from phantomnode.solver.model import CutElements, Elements, Model, State
 from phantomnode.solver.motion import move_nodes, reset
 from phantomnode.solver.q4 import smallest_jacobian
 from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
@@ -30,6 +30,7 @@ from phantomnode.solver.surface_loads import add_loads, add_support_forces, load
 from phantomnode.solver.uncut import add_uncut_forces
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 DONE, INVERTED, NOT_FINITE = 0, 1, 2
 """What :func:`advance` returns: all steps done, or what stopped it (see the clock for when)."""
@@ -109,27 +110,25 @@ def evaluate_elements(model: Model, layout: Layout, state: State) -> int:
         add_viscous_forces(model, state)
     if unsound == 0:
         return DONE
-    find_smallest_jacobian(model, state)
+    state.smallest_j[0] = find_smallest_jacobian(model.elements, model.full, model.cut_elements, state.u)
     return INVERTED if state.smallest_j[0] <= 0.0 else NOT_FINITE
 
 
-@kernel
 def evaluate_forces(model: Model, layout: Layout, state: State) -> int:
     """All forces but those of contact at the current displacement; whether all is sound."""
-    reset(layout, state.force)
-    return evaluate_elements(model, layout, state)
+    reset(layout.load, state.force)
+    return int(evaluate_elements(model, layout, state))
 
 
 @kernel
-def find_smallest_jacobian(model: Model, state: State) -> None:
+def find_smallest_jacobian(elements: Elements, full: CutElements, cut: CutElements, u: Floats) -> float:
     """The smallest J of all points, NaN where one is not finite."""
-    e, cut, full = model.elements, model.cut_elements, model.full
     if len(full.weight) == 0:
-        uncut_j = smallest_jacobian(e.nodes, np.arange(len(e.nodes) + 1), e.gradient, state.u)
+        uncut_j = smallest_jacobian(elements.nodes, np.arange(len(elements.nodes) + 1), elements.gradient, u)
     else:
-        uncut_j = smallest_jacobian(full.nodes, full.first, full.gradient, state.u)
-    cut_j = smallest_jacobian(cut.nodes, cut.first, cut.gradient, state.u)
-    state.smallest_j[0] = cut_j if not uncut_j <= cut_j and uncut_j == uncut_j else uncut_j
+        uncut_j = smallest_jacobian(full.nodes, full.first, full.gradient, u)
+    cut_j = smallest_jacobian(cut.nodes, cut.first, cut.gradient, u)
+    return cut_j if not uncut_j <= cut_j and uncut_j == uncut_j else uncut_j
 
 
 @kernel
@@ -163,7 +162,10 @@ def move(model: Model, layout: Layout, state: State, kick: float, dt: float, inc
     """
     slip = friction_power(state.friction_force, state.v)
     work = 0.5 * load_power(model.loads, state.value, state.point_force, state.v)
-    work += hold(model, layout, state, kick, dt, increment)
+    before = values_at(layout.held, state.u)
+    work += react(model.mass, layout.held, state.v, state.a, state.force, state.reaction, kick, dt, increment)
+    move_nodes(layout.inverse_mass, layout.load, state.u, state.v, state.force, kick, dt, layout.threads)
+    prescribe(layout.held, before, state.u, state.v, dt, increment)
     work += 0.5 * load_power(model.loads, state.value, state.point_force, state.v)
     for c in range(len(state.held)):
         rate = increment[c] / dt
@@ -182,35 +184,47 @@ def move(model: Model, layout: Layout, state: State, kick: float, dt: float, inc
 
 
 @kernel
-def hold(model: Model, layout: Layout, state: State, kick: float, dt: float, increment: Floats) -> float:
-    """Move all nodes, the prescribed ones by their increments; the power of the reactions, W/m."""
-    u, v, held = state.u, state.v, layout.held
-    for c in range(len(state.reaction)):
-        state.reaction[c] = 0.0
-    before = np.empty((len(held.node), 2))
+def react(
+    mass: Floats, held: Held, v: Floats, a: Floats, force: Floats, reaction: Floats,
+    kick: float, dt: float, increment: Floats,
+) -> float:  # fmt: skip
+    """Accelerations and reactions of the prescribed degrees of freedom; the power of the reactions, W/m."""
+    reaction[:] = 0.0
     power = 0.0
     for h in range(len(held.node)):
         i, d, c = held.node[h], held.axis[h], held.channel[h]
-        before[h, 0], before[h, 1] = u[i, d], v[i, d]
-        after = increment[c] / dt
-        state.a[i, d] = (after - v[i, d]) / kick
-        reaction = model.mass[i] * state.a[i, d] - state.force[i, d]
-        state.reaction[c] += reaction
-        power += reaction * 0.5 * (v[i, d] + after)
-    move_nodes(layout, u, v, state.force, kick, dt)
-    for h in range(len(held.node)):
-        i, d, c = held.node[h], held.axis[h], held.channel[h]
-        u[i, d], v[i, d] = before[h, 0] + increment[c], increment[c] / dt
+        before, after = v[i, d], increment[c] / dt
+        a[i, d] = (after - before) / kick
+        needed = mass[i] * a[i, d] - force[i, d]
+        reaction[c] += needed
+        power += needed * 0.5 * (before + after)
     return power
 
 
 @kernel
-def find_accelerations(model: Model, layout: Layout, state: State) -> None:
+def values_at(held: Held, u: Floats) -> Floats:
+    """(h,) Displacements of the prescribed degrees of freedom, m."""
+    values = np.empty(len(held.node))
+    for h in range(len(values)):
+        values[h] = u[held.node[h], held.axis[h]]
+    return values
+
+
+@kernel
+def prescribe(held: Held, before: Floats, u: Floats, v: Floats, dt: float, increment: Floats) -> None:
+    """Displacements and velocities of the prescribed degrees of freedom, from the (h,) displacements before."""
+    for h in range(len(before)):
+        i, d, c = held.node[h], held.axis[h], held.channel[h]
+        u[i, d], v[i, d] = before[h] + increment[c], increment[c] / dt
+
+
+@kernel
+def find_accelerations(channel: Ints, inverse_mass: Floats, force: Floats, a: Floats) -> None:
     """Accelerations of the free degrees of freedom from the current forces, m/s^2."""
-    for i in range(len(model.mass)):
+    for i in range(len(inverse_mass)):
         for d in range(2):
-            if model.channel[i, d] < 0:
-                state.a[i, d] = state.force[i, d] * layout.inverse_mass[i]
+            if channel[i, d] < 0:
+                a[i, d] = force[i, d] * inverse_mass[i]
 
 
 @kernel(nogil=True)  # so that frames can be written meanwhile
@@ -236,7 +250,8 @@ def advance(model: Model, layout: Layout, state: State, dt: float, increments: F
     """
     candidates = find_candidates(model, state, layout.search)
     if len(increments) == 0:
-        status = evaluate_forces(model, layout, state)
+        reset(layout.load, state.force)
+        status = evaluate_elements(model, layout, state)
         evaluate_contact(model, state, candidates)
     damped = model.damping.mass > 0.0 or len(state.viscous) > 0
     for step in range(len(increments)):
@@ -254,6 +269,6 @@ def advance(model: Model, layout: Layout, state: State, dt: float, increments: F
         if outdated(layout.search, candidates, state.u):
             candidates = find_candidates(model, state, layout.search)
         evaluate_contact(model, state, candidates)
-    find_accelerations(model, layout, state)
-    find_smallest_jacobian(model, state)
+    find_accelerations(model.channel, layout.inverse_mass, state.force, state.a)
+    state.smallest_j[0] = find_smallest_jacobian(model.elements, model.full, model.cut_elements, state.u)
     return status

@@ -7,7 +7,6 @@ from numba import prange
 from numpy.typing import NDArray
 
 from phantomnode.kernels import kernel
-from phantomnode.solver.layout import Layout
 
 Floats = NDArray[np.float64]
 
@@ -16,20 +15,27 @@ NODE_RANGE = 16384
 
 
 @kernel
-def move_nodes(layout: Layout, u: Floats, v: Floats, force: Floats, kick: float, dt: float) -> None:
+def move_nodes(
+    inverse_mass: Floats, load: Floats, u: Floats, v: Floats, force: Floats,
+    kick: float, dt: float, threads: int | None,
+) -> None:  # fmt: skip
     """V += kick F/m, then u += dt v; the forces are set to the constant load. Nodes without mass keep their v.
 
     Parameters
     ----------
-    layout : Layout
+    inverse_mass : (n,) float64, m/kg
+    load : (n, 2) float64, N/m
+        Empty where there is none.
     u, v, force : (n, 2) float64, m, m/s, N/m
         Written in place.
     kick, dt : float, s
+    threads : int or None
+        None for the caller's alone; the choice is made when this is compiled.
     """
-    if layout.threads > 1:
-        move_by_threads(layout.inverse_mass, layout.load, u, v, force, kick, dt)
+    if threads is None:
+        move_range(inverse_mass, load, 0, len(u), u, v, force, kick, dt)
     else:
-        move_range(layout.inverse_mass, layout.load, 0, len(u), u, v, force, kick, dt)
+        move_by_threads(inverse_mass, load, u, v, force, kick, dt)
 
 
 @kernel(parallel=True)
@@ -70,7 +76,10 @@ def add_load(force: Floats, load: Floats, first: int, last: int) -> None:
 
 
 @kernel
-def reset(layout: Layout, force: Floats) -> None:
+def reset(load: Floats, force: Floats) -> None:
     """Set all forces to the constant load."""
-    force[:] = 0.0
-    add_load(force, layout.load, 0, len(force))
+    for d in range(2):
+        f = force[:, d]
+        for i in range(len(f)):
+            f[i] = 0.0
+    add_load(force, load, 0, len(force))

@@ -33,6 +33,7 @@ from phantomnode.solver.model import Elements
 from phantomnode.solver.q4 import smallest_jacobian
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
 CONSTANTS = 9
 """Rows of a block that hold constants, from G1X on."""
@@ -53,12 +54,12 @@ def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
     float
         The smallest J met; NaN where one is not finite.
     """
-    add_uncut_forces(*scattered_lists(elements), u, force, 1)
+    add_uncut_forces(*scattered_lists(elements), u, force, None)
     return smallest_jacobian(elements.nodes, np.arange(len(elements.nodes) + 1), elements.gradient, u)
 
 
 @kernel
-def add_uncut_forces(rows: Rows, scattered: Scattered, u: Floats, force: Floats, threads: int) -> int:
+def add_uncut_forces(rows: Rows, scattered: Scattered, u: Floats, force: Floats, threads: int | None) -> int:
     """Add the internal and hourglass forces of the uncut elements.
 
     Parameters
@@ -68,33 +69,36 @@ def add_uncut_forces(rows: Rows, scattered: Scattered, u: Floats, force: Floats,
     u : (n, 2) float64, metres
     force : (n, 2) float64, N/m
         Added to: by the even strips, then by the odd ones, in each by the rows, then by the scattered elements.
-    threads : int
-        One, or more: then as many as numba is told take part.
+    threads : int or None
+        None for the caller's alone, or as many as numba is told; the choice is made when this is compiled.
 
     Returns
     -------
     int
         How many elements are unsound: J not positive or not finite.
     """
-    if threads > 1:
-        return add_by_threads(rows, scattered, u, force)
-    unsound, strips = 0, len(rows.strip) - 1
-    for parity in range(2):
-        for s in range(parity, strips, 2):
-            unsound += add_strip(rows, scattered, s, u, force)
-    return unsound
+    strips, total = len(rows.strip) - 1, 0
+    if threads is None:
+        for parity in range(2):
+            for s in range(parity, strips, 2):
+                total += add_strip(rows, scattered, s, u, force)
+    else:
+        unsound = np.zeros(strips, dtype=np.int64)
+        for parity in range(2):
+            add_by_threads(rows, scattered, parity, u, force, unsound)
+        for s in range(strips):
+            total += unsound[s]
+    return total
 
 
 @kernel(parallel=True)
-def add_by_threads(rows: Rows, scattered: Scattered, u: Floats, force: Floats) -> int:
-    """The same by several threads: strips of one parity share no nodes."""
-    strips = len(rows.strip) - 1
-    unsound = np.zeros(strips, dtype=np.int64)
-    for s in prange((strips + 1) // 2):
-        unsound[2 * s] = add_strip(rows, scattered, 2 * s, u, force)
-    for s in prange(strips // 2):
-        unsound[2 * s + 1] = add_strip(rows, scattered, 2 * s + 1, u, force)
-    return unsound.sum()
+def add_by_threads(
+    rows: Rows, scattered: Scattered, parity: int, u: Floats, force: Floats, unsound: Ints
+) -> None:
+    """Add the forces of every other strip by several threads: strips of one parity share no nodes."""
+    for k in prange((len(unsound) - parity + 1) // 2):
+        s = 2 * k + parity
+        unsound[s] = add_strip(rows, scattered, s, u, force)
 
 
 @kernel

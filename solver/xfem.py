@@ -178,7 +178,7 @@ def _frame(
     """The frame of a state whose acceleration is known."""
     half = 0.0 if state.clock[1] == 0.0 else 0.5 * dt
     v = state.v + half * state.a
-    find_smallest_jacobian(model, state)
+    smallest_j = find_smallest_jacobian(model.elements, model.full, model.cut_elements, state.u)
     internal, hourglass = element_energies(model.elements, state.u)
     now = Energies(
         kinetic=0.5 * float(np.sum(v * inertia.momentum(v))),
@@ -210,7 +210,7 @@ def _frame(
         pair_peak=copy.pair_peak,
         gap=copy.gap,
         normal=copy.normal,
-        smallest_j=float(state.smallest_j[0]),
+        smallest_j=smallest_j,
         state=copy,
         initial_energy=initial,
         largest_energy=largest,

@@ -12,7 +12,7 @@ from phantomnode.solver.block import BLOCK, G1X, ROOM
 from phantomnode.solver.layout import SHORTEST_ROW, element_constants, scattered_lists, uncut_lists
 from phantomnode.solver.motion import NODE_RANGE, move_by_threads
 from phantomnode.solver.q4 import one_point_elements
-from phantomnode.solver.uncut import add_by_threads, add_row, add_uncut_forces, difference_row, fill_constants
+from phantomnode.solver.uncut import add_row, add_uncut_forces, difference_row, fill_constants
 
 
 def uniform(columns, rows, h=0.01, low=(0.0, 0.0), rho=RHO):
@@ -22,7 +22,7 @@ def uniform(columns, rows, h=0.01, low=(0.0, 0.0), rho=RHO):
     return x, quads, one_point_elements(quads, x[quads], LAME, SHEAR, rho)
 
 
-def forces(lists, u, threads=1):
+def forces(lists, u, threads=None):
     force = np.zeros(u.shape, order="F")
     assert add_uncut_forces(*lists, np.asfortranarray(u), force, threads) == 0
     return force
@@ -133,7 +133,7 @@ def test_forces_are_the_same_to_the_bit_at_any_number_of_threads(crooked):
         for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
             numba.set_num_threads(threads)
             force = np.zeros_like(serial)
-            assert add_by_threads(*lists, np.asfortranarray(u), force) == 0
+            assert add_uncut_forces(*lists, np.asfortranarray(u), force, threads) == 0
             assert np.array_equal(force, serial)
     finally:
         numba.set_num_threads(before)
@@ -171,9 +171,9 @@ def test_unsound_elements_are_counted():
         u = np.zeros(x.shape, order="F")
         force = np.zeros_like(u)
         u[0] = [0.03, 0.03]
-        assert add_uncut_forces(*lists, u, force, 1) == 1
+        assert add_uncut_forces(*lists, u, force, None) == 1
         u[quads[-1, 2]] = np.nan
-        assert add_uncut_forces(*lists, u, force, 1) == 2
+        assert add_uncut_forces(*lists, u, force, None) == 2
 
 
 def test_no_elements():
