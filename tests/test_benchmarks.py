@@ -16,7 +16,7 @@ from benchmarks.__main__ import app
 from benchmarks.blocks import mapped_block, uniform_block, waves
 from benchmarks.measure import Figure, Plan, Process, Seconds, clocked
 from benchmarks.registry import BENCHMARKS
-from benchmarks.stepping import expect_done, started
+from benchmarks.stepping import started
 
 from phantomnode.pipeline import cli
 from phantomnode.solver.explicit import frames
@@ -87,8 +87,7 @@ def test_thinned_models_lack_what_they_should() -> None:
 def test_a_loop_that_stops_early_is_no_measurement() -> None:
     prepared = uniform_block(4)
     with pytest.raises(RuntimeError, match="were not taken"):
-        started(prepared, -100.0 * waves(prepared, 4))(100)
-    expect_done(0)
+        started(prepared, -100.0 * waves(prepared, 4)).take(100)
 
 
 def test_python_runs_the_checkout_and_says_what_it_took() -> None:

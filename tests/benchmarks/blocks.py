@@ -14,7 +14,7 @@ from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.elements import lame_constants
 from phantomnode.pipeline.prepare import Prepared, prepare
 
-from .measure import Figure, Plan, Seconds, medians, rate, repeated
+from .measure import Figure, Plan, Seconds, alternating, medians, rate, repeated
 from .stepping import started
 
 Floats = NDArray[np.float64]
@@ -79,8 +79,8 @@ def steps_for(side: int, plan: Plan) -> int:
 def uniform_runs(side: int, plan: Plan) -> tuple[Seconds, ...]:
     """Runs on the uniform block; measured once, for it stands in two rows."""
     prepared, steps = uniform_block(side), steps_for(side, plan)
-    go = started(prepared, waves(prepared, side))
-    return tuple(repeated(lambda: go(steps), plan.repeats))
+    loop = started(prepared, waves(prepared, side))
+    return tuple(repeated(lambda: loop.take(steps), plan.repeats))
 
 
 def side_of(elements: float, plan: Plan) -> int:
@@ -96,12 +96,24 @@ def uniform(plan: Plan) -> Iterator[Figure]:
         yield rate(f"uniform block, {name}", work, "M updates/s", uniform_runs(side, plan))
 
 
+def threads(plan: Plan) -> Iterator[Figure]:
+    """The uniform block on one thread and on two, in turns."""
+    side = side_of(250e3, plan)
+    prepared, steps = uniform_block(side), steps_for(side, plan)
+    one, two = (started(prepared, waves(prepared, side), count) for count in (1, 2))
+    runs = alternating([lambda: one.take(steps), lambda: two.take(steps)], plan.repeats)
+    work = 1e-6 * side**2 * steps
+    yield rate("uniform block, 250k, 2 threads", work, "M updates/s", runs[1])
+    cpu, wall = (before / after for before, after in zip(medians(runs[0]), medians(runs[1]), strict=True))
+    yield Figure("two threads against one", cpu, wall, "x", f"{two.layout.threads} in use")
+
+
 def general(plan: Plan) -> Iterator[Figure]:
     """The same where every element has gradients of its own."""
     side = side_of(250e3, plan)
     prepared, steps = mapped_block(side), steps_for(side, plan)
-    go = started(prepared, waves(prepared, side))
-    runs = repeated(lambda: go(steps), plan.repeats)
+    loop = started(prepared, waves(prepared, side))
+    runs = repeated(lambda: loop.take(steps), plan.repeats)
     yield rate("general block, 250k", 1e-6 * side**2 * steps, "M updates/s", runs)
 
 

@@ -9,11 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from phantomnode.solver.layout import prepare_layout
-from phantomnode.solver.leapfrog import initial_state
-
 from .blocks import side_of, uniform_block, waves
 from .measure import Figure, Plan, duration, python
+from .stepping import started
 
 PEAK = """
 import sys
@@ -22,7 +20,7 @@ from tests.benchmarks.memory import own_peak
 from tests.benchmarks.stepping import started
 side = int(sys.argv[1])
 prepared = uniform_block(side)
-started(prepared, waves(prepared, side))(1)
+started(prepared, waves(prepared, side)).take(1)
 print(own_peak())
 """
 
@@ -48,10 +46,8 @@ def memory(plan: Plan) -> Iterator[Figure]:
     """Of a uniform block; the peak is that of a process that prepares it and takes a step."""
     side = side_of(1e4, plan)
     prepared = uniform_block(side)
-    layout = prepare_layout(prepared.model)
-    state = initial_state(prepared.model, waves(prepared, side), layout)
-    loop = nbytes((prepared.model, state, layout)) / side**2
-    yield Figure("memory of the loop's arrays", None, loop, "bytes/element", "uniform block, 10k")
+    loop = nbytes(started(prepared, waves(prepared, side)))
+    yield Figure("memory of the loop's arrays", None, loop / side**2, "bytes/element", "uniform block, 10k")
     side = side_of(1e6, plan)
     empty, full = (int(python("-c", PEAK, str(cells)).output) for cells in (4, side))
     peak = (full - empty) / side**2

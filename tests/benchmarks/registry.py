@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from .blocks import general, growth, uniform
+from .blocks import general, growth, threads, uniform
 from .cutting import cutting, distance
 from .machine import ceilings
 from .measure import Figure, Plan
@@ -19,6 +19,7 @@ BENCHMARKS: dict[str, Benchmark] = {
     for function in (
         ceilings,
         uniform,
+        threads,
         general,
         growth,
         memory,

@@ -89,7 +89,11 @@ def rates(python: Path, side: int, repeats: int) -> tuple[float, float, float]:
     turns: list[tuple[Seconds, Seconds, Seconds]] = []
     with tempfile.TemporaryDirectory() as folder, Worker(python, side, Path(folder), velocity) as theirs:
         for turn in range(repeats + 1):
-            taken = theirs.take(few), clocked(lambda: ours(steps)), clocked(lambda: full(steps // 4))
+            taken = (
+                theirs.take(few),
+                clocked(lambda: ours.take(steps)),
+                clocked(lambda: full.take(steps // 4)),
+            )
             turns += [taken] if turn else []  # the first one warms up
     work = np.array([few, steps, steps // 4]) * side**2
     first, second, third = (medians(column).cpu for column in zip(*turns, strict=True))
