@@ -27,6 +27,7 @@ __all__ = [
     "json_schema",
     "load_case",
     "resolved_toml",
+    "toml_of",
     "variants",
 ]
 
@@ -125,7 +126,12 @@ def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, A
 
 def resolved_toml(case: Case) -> str:
     """The case as TOML with every default spelled out; it loads back to an equal case from anywhere."""
-    text = tomli_w.dumps(case.model_dump(mode="json", exclude_none=True))
+    return toml_of(case.model_dump(mode="json", exclude_none=True))
+
+
+def toml_of(table: Mapping[str, Any]) -> str:
+    """A resolved case, as a table, as TOML."""
+    text = tomli_w.dumps(table)
     # tomli_w gives every number of a list its own line; a vector reads better on one.
     return re.sub(r"\[\n(?:\s+[-+0-9.e]+,\n)+\s*\]", _on_one_line, text)
 

@@ -64,6 +64,13 @@ def run(
     overwrite: Annotated[
         bool, Parameter(negative=(), show_default=False, help="Write over a finished run in --out.")
     ] = False,
+    threads: Annotated[
+        int,
+        Parameter(
+            help="Threads that may take part in a step, 1 unless given; the results are the same, to the bit, at "
+            "any number. Small models keep to one all the same."
+        ),
+    ] = 1,
 ) -> int:
     """Run a case, and its variants where it has some, and write the results.
 
@@ -83,7 +90,8 @@ def run(
         folder = results_folder(loaded, out, find_case(case), overwrite)
         from phantomnode.pipeline.run import run_all  # the solver: only for a case that is sound
 
-        summaries = run_all(loaded, folder, console=console, command=("phantomnode", *sys.argv[1:]))
+        line = ("phantomnode", *sys.argv[1:])
+        summaries = run_all(loaded, folder, console=console, command=line, threads=threads)
         codes = {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}
         return max(codes[summary.status] for summary in summaries)
 

@@ -22,6 +22,7 @@ from phantomnode.pipeline.history import History
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
 from phantomnode.pipeline.preflight import report, steps_of, text_report
 from phantomnode.pipeline.profile import ProfileWriter, Stations, draw_profiles, profile_steps, stations
+from phantomnode.pipeline.provenance import GEOMETRY, case_hash, provenance, write_case
 from phantomnode.pipeline.summary import Clock, Summary, highlights, summarize, verdict
 from phantomnode.pipeline.tally import Tally
 
@@ -33,13 +34,18 @@ if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
 
 RESULTS = ("summary.json", "history.csv", "fields.pvd", "contact.pvd", "run.log", "peak.png")
-FRAMES = ("fields/fields_*.vtu", "contact/contact_*.vtu", "profile.*")
+FRAMES = ("fields/fields_*.vtu", "contact/contact_*.vtu", "profile.*", f"{GEOMETRY}/*")
 VARIANTS = "variants"
 """Folder, within the results of a case, of the results of its variants."""
 
 
 def run(
-    case: Case, out: Path | str, *, console: Console | None = None, command: Sequence[str] = ()
+    case: Case,
+    out: Path | str,
+    *,
+    console: Console | None = None,
+    command: Sequence[str] = (),
+    threads: int = 1,
 ) -> Summary:
     """Run a case into a folder.
 
@@ -55,7 +61,9 @@ def run(
     console : rich Console, optional
         Where to show the progress and the verdict; nothing is shown without one.
     command : sequence of str
-        The command line, for run.log.
+        The command line, for run.log and summary.json.
+    threads : int
+        How many may take part in a step; small models keep to one. The results are the same, to the bit.
 
     Returns
     -------
@@ -73,17 +81,19 @@ def run(
 
     began, folder = time.perf_counter(), Path(out)
     _refuse_source_folder(case, folder)
+    check_threads(threads)
     prepared = prepare(case)
-    lines = stations(prepared)
+    lines, digest = stations(prepared), case_hash(case)
     _make_folder(case, folder)
     log = RunLog(folder / "run.log", prepared, command)
     with ExitStack() as closing:
         fields, observers, tally = _observers(prepared, lines, folder, console, closing)
-        ending, stepping = march(prepared, observers)
+        ending, stepping = march(prepared, observers, threads)
         for observer in observers:
             observer.finish(ending)
     clock = Clock(time.perf_counter() - began, stepping)
-    summary = summarize(prepared, tally, ending, clock, folder)
+    source = {"case_hash": digest, "provenance": provenance(command, threads)}
+    summary = summarize(prepared, tally, ending, clock, folder, source)
     summary.write()
     log.close(summary)
     if fields.peak is not None:
@@ -96,7 +106,12 @@ def run(
 
 
 def run_all(
-    case: Case, out: Path | str, *, console: Console | None = None, command: Sequence[str] = ()
+    case: Case,
+    out: Path | str,
+    *,
+    console: Console | None = None,
+    command: Sequence[str] = (),
+    threads: int = 1,
 ) -> list[Summary]:
     """Run a case and its variants, and draw their profiles over each other.
 
@@ -113,12 +128,12 @@ def run_all(
     folder = Path(out)
     label = case.method if case.method not in case.variant else case.name
     runs: dict[str, Path] = {label: folder}
-    summaries = [run(case, folder, console=console, command=command)]
+    summaries = [run(case, folder, console=console, command=command, threads=threads)]
     for name, variant in variants(case).items():
         if summaries[-1].status == "interrupted":
             break
         runs[name] = folder / VARIANTS / name
-        summaries.append(run(variant, runs[name], console=console, command=command))
+        summaries.append(run(variant, runs[name], console=console, command=command, threads=threads))
     for picture in draw_profiles(runs, folder):
         if console is not None:
             console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
@@ -155,7 +170,26 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
     return prepared
 
 
-def march(prepared: Prepared, observers: Sequence[Observer]) -> tuple[Ending, float]:
+def check_threads(threads: int) -> None:
+    """Refuse a number of threads that cannot be had.
+
+    Raises
+    ------
+    CaseError
+        Where it is below one, or above what numba was started with.
+    """
+    from numba import config
+
+    if threads < 1:
+        raise CaseError(f"--threads {threads}: must be at least 1")
+    if threads > config.NUMBA_NUM_THREADS:
+        raise CaseError(
+            f"--threads {threads}: at most {config.NUMBA_NUM_THREADS} can take part here (the cores that this "
+            "process may use, or NUMBA_NUM_THREADS where it is set)"
+        )
+
+
+def march(prepared: Prepared, observers: Sequence[Observer], threads: int = 1) -> tuple[Ending, float]:
     """Take all steps and show the observers the frames that they want.
 
     Returns how it ended and the wall time of the steps alone, s.
@@ -169,7 +203,7 @@ def march(prepared: Prepared, observers: Sequence[Observer]) -> tuple[Ending, fl
     guard, at = case.guard.energy_error, np.array(sorted(samples), dtype=np.int64)
     arguments = prepared.velocity, prepared.dt, at, prepared.motion, guard
     if prepared.xfem is None:
-        stream = explicit.frames(prepared.model, *arguments)
+        stream = explicit.frames(prepared.model, *arguments, threads=threads)
     else:
         stream = xfem.frames(prepared.model, prepared.xfem, *arguments)
     last: Frame | None = None
@@ -295,15 +329,13 @@ def _refuse_source_folder(case: Case, folder: Path) -> None:
 
 def _make_folder(case: Case, folder: Path) -> None:
     """An empty results folder with the resolved case in it."""
-    from phantomnode.pipeline.case import resolved_toml
-
     _mkdir(folder)
     for name in RESULTS:
         (folder / name).unlink(missing_ok=True)
     for pattern in FRAMES:
         for frame in folder.glob(pattern):
             frame.unlink()
-    write_atomically(folder / "case.toml", resolved_toml(case))
+    write_case(case, folder)
 
 
 def _mkdir(folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -83,13 +84,21 @@ class Summary:
         write_atomically(self.path / "summary.json", text + "\n")
 
 
-def summarize(prepared: Prepared, tally: Tally, ending: Ending, clock: Clock, path: Path) -> Summary:
-    """Everything that summary.json holds, from a run that has ended."""
+def summarize(
+    prepared: Prepared,
+    tally: Tally,
+    ending: Ending,
+    clock: Clock,
+    path: Path,
+    source: Mapping[str, Any] | None = None,
+) -> Summary:
+    """Everything that summary.json holds, from a run that has ended; ``source`` is where it comes from."""
     case, last = prepared.case, tally.last
     counts = count(prepared)
     steps = last.step if last is not None else 0
     figures: dict[str, Any] = {
         "version": __version__,
+        **(source or {}),
         "status": ending.status,
         "reason": ending.reason,
         "advice": ending.advice,

@@ -43,7 +43,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Calls:
     calls: Calls = []
 
     def run_all(
-        case: Any, out: Path, *, console: object = None, command: tuple[str, ...] = ()
+        case: Any, out: Path, *, console: object = None, command: tuple[str, ...] = (), threads: int = 1
     ) -> list[SimpleNamespace]:
         calls.append((case.name, out))
         out.mkdir(parents=True, exist_ok=True)
@@ -104,7 +104,16 @@ def test_version(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out[0].isdigit()
 
 
-@pytest.mark.parametrize("tokens", [("rnu", "a"), ("run",), ("run", "a", "b"), ("run", "a", "--outt", "b")])
+@pytest.mark.parametrize(
+    "tokens",
+    [
+        ("rnu", "a"),
+        ("run",),
+        ("run", "a", "b"),
+        ("run", "a", "--outt", "b"),
+        ("run", "a", "--threads", "two"),
+    ],
+)
 def test_a_wrong_command_line_ends_with_2(line: Line, tokens: tuple[str, ...]) -> None:
     assert line(*tokens) == 2
 
@@ -183,6 +192,18 @@ def test_check_takes_overrides_and_its_own_folder(line: Line, runs: Calls) -> No
     assert line("check", "disc", "--set", "name=other") == 0
     assert line("check", "disc", "--out", "here") == 0
     assert runs == [("check other", Path("results/other")), ("check disc", Path("here"))]
+
+
+@pytest.mark.parametrize(
+    ("threads", "message"),
+    [("0", "must be at least 1"), ("-3", "at least 1"), ("100000", "NUMBA_NUM_THREADS")],
+)
+def test_a_number_of_threads_that_cannot_be_had_is_refused(
+    line: Line, capsys: pytest.CaptureFixture[str], threads: str, message: str
+) -> None:
+    assert line("new", "disc") == 0
+    assert line("run", "disc", f"--threads={threads}") == 2
+    assert message in capsys.readouterr().err and not Path("results").exists()
 
 
 @pytest.mark.parametrize(
