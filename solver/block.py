@@ -48,8 +48,8 @@ ROOM = 22 * BLOCK
 POINT_LAME, POINT_SHEAR = 8 * BLOCK, 9 * BLOCK
 """Of a point: lambda and mu times its weight, N, behind u_x and u_y of its four nodes in turn, m."""
 
-POINT_FORCE = 10 * BLOCK
-"""Its results: -w P grad N_I in x and y of its four nodes in turn, N/m."""
+POINT_STRESS = 10 * BLOCK
+"""Its weight times P11, P12, P21, P22, N/m. The results -w P grad N_I, N/m, take the place of the displacements."""
 
 
 @kernel(inline="always")
@@ -117,49 +117,68 @@ def is_sound(h11: float, h12: float, h21: float, h22: float) -> bool:
 
 
 @kernel(inline="always")
-def point_gradient(block: Floats, gradient: Floats, p: int, k: int) -> tuple[float, float, float, float]:
-    """H11, H12, H21, H22 at point k of the block, whose (8, points) gradients stand in column p."""
-    h11, h12, h21, h22 = 0.0, 0.0, 0.0, 0.0
-    for i in range(4):
-        ux, uy = block[2 * i * BLOCK + k], block[(2 * i + 1) * BLOCK + k]
-        gx, gy = gradient[2 * i, p], gradient[2 * i + 1, p]
-        h11, h12, h21, h22 = h11 + ux * gx, h12 + ux * gy, h21 + uy * gx, h22 + uy * gy
+def point_gradient(
+    block: Floats, k: int,
+    g1x: float, g1y: float, g2x: float, g2y: float, g3x: float, g3y: float, g4x: float, g4y: float,
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """H11, H12, H21, H22 at point k of the block from the gradients of its nodes."""
+    u1, u2, u3, u4 = block[k], block[2 * BLOCK + k], block[4 * BLOCK + k], block[6 * BLOCK + k]
+    v1, v2, v3, v4 = block[BLOCK + k], block[3 * BLOCK + k], block[5 * BLOCK + k], block[7 * BLOCK + k]
+    h11, h12 = (u1 * g1x + u2 * g2x) + (u3 * g3x + u4 * g4x), (u1 * g1y + u2 * g2y) + (u3 * g3y + u4 * g4y)
+    h21, h22 = (v1 * g1x + v2 * g2x) + (v3 * g3x + v4 * g4x), (v1 * g1y + v2 * g2y) + (v3 * g3y + v4 * g4y)
     return h11, h12, h21, h22
 
 
 @kernel(fastmath={"contract"})
-def point_block(block: Floats, gradient: Floats, count: int) -> int:
-    """Results of points from the displacements of their nodes and (8, count) gradients; how many are unsound.
+def point_block(block: Floats, gradient: Floats, start: int, count: int) -> int:
+    """Results of points from the displacements of their nodes; how many are unsound.
 
-    The gradients of a point are those of its four nodes in turn, x before y, 1/m.
+    The (8, p) gradients of all points, 1/m, are those of the four nodes in turn, x before y; the block holds the
+    points from ``start`` on.
     """
+    g1x, g1y = gradient[0, start : start + count], gradient[1, start : start + count]
+    g2x, g2y = gradient[2, start : start + count], gradient[3, start : start + count]
+    g3x, g3y = gradient[4, start : start + count], gradient[5, start : start + count]
+    g4x, g4y = gradient[6, start : start + count], gradient[7, start : start + count]
     beyond = 0
     for k in range(count):
-        h11, h12, h21, h22 = point_gradient(block, gradient, k, k)
+        h11, h12, h21, h22 = point_gradient(
+            block, k, g1x[k], g1y[k], g2x[k], g2y[k], g3x[k], g3y[k], g4x[k], g4y[k]
+        )
         p11, p12, p21, p22, limit = series_piola(
             h11, h12, h21, h22, block[POINT_LAME + k], block[POINT_SHEAR + k]
         )
-        for i in range(4):
-            gx, gy = gradient[2 * i, k], gradient[2 * i + 1, k]
-            block[POINT_FORCE + 2 * i * BLOCK + k] = -(p11 * gx + p12 * gy)
-            block[POINT_FORCE + (2 * i + 1) * BLOCK + k] = -(p21 * gx + p22 * gy)
+        block[POINT_STRESS + k], block[POINT_STRESS + BLOCK + k] = p11, p12
+        block[POINT_STRESS + 2 * BLOCK + k], block[POINT_STRESS + 3 * BLOCK + k] = p21, p22
         block[BEYOND + k] = limit
         beyond += not limit <= SERIES_LIMIT
-    return points_beyond(block, gradient, count) if beyond > 0 else 0
+    unsound = points_beyond(block, gradient, start, count) if beyond > 0 else 0
+    for i in range(4):
+        spread(block, i, gradient[2 * i, start : start + count], gradient[2 * i + 1, start : start + count])
+    return unsound
 
 
 @kernel
-def points_beyond(block: Floats, gradient: Floats, count: int) -> int:
-    """Do the points beyond the limit of the series again by the full law; how many are unsound."""
+def points_beyond(block: Floats, gradient: Floats, start: int, count: int) -> int:
+    """Stresses of the points beyond the limit of the series by the full law; how many are unsound."""
     unsound = 0
     for k in range(count):
         if block[BEYOND + k] <= SERIES_LIMIT:
             continue
-        h11, h12, h21, h22 = point_gradient(block, gradient, k, k)
+        g = gradient[:, start + k]
+        h11, h12, h21, h22 = point_gradient(block, k, g[0], g[1], g[2], g[3], g[4], g[5], g[6], g[7])
         unsound += not is_sound(h11, h12, h21, h22)
         p11, p12, p21, p22 = first_piola(h11, h12, h21, h22, block[POINT_LAME + k], block[POINT_SHEAR + k])
-        for i in range(4):
-            gx, gy = gradient[2 * i, k], gradient[2 * i + 1, k]
-            block[POINT_FORCE + 2 * i * BLOCK + k] = -(p11 * gx + p12 * gy)
-            block[POINT_FORCE + (2 * i + 1) * BLOCK + k] = -(p21 * gx + p22 * gy)
+        block[POINT_STRESS + k], block[POINT_STRESS + BLOCK + k] = p11, p12
+        block[POINT_STRESS + 2 * BLOCK + k], block[POINT_STRESS + 3 * BLOCK + k] = p21, p22
     return unsound
+
+
+@kernel(fastmath={"contract"})
+def spread(block: Floats, node: int, gx: Floats, gy: Floats) -> None:
+    """-P grad N of one of the nodes of all points, in place of its displacements."""
+    p11, p12 = block[POINT_STRESS:], block[POINT_STRESS + BLOCK :]
+    p21, p22 = block[POINT_STRESS + 2 * BLOCK :], block[POINT_STRESS + 3 * BLOCK :]
+    fx, fy = block[2 * node * BLOCK :], block[(2 * node + 1) * BLOCK :]
+    for k in range(len(gx)):
+        fx[k], fy[k] = -(p11[k] * gx[k] + p12[k] * gy[k]), -(p21[k] * gx[k] + p22[k] * gy[k])

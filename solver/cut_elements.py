@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phantomnode.kernels import kernel
-from phantomnode.solver.block import BLOCK, POINT_FORCE, POINT_LAME, POINT_SHEAR, ROOM, point_block
+from phantomnode.solver.block import BLOCK, POINT_LAME, POINT_SHEAR, ROOM, point_block
 from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.layout import Points, point_lists
 from phantomnode.solver.model import CutElements
@@ -82,7 +82,7 @@ def add_point_forces(points: Points, u: Floats, force: Floats) -> int:
     for start in range(0, total, BLOCK):
         count = min(BLOCK, total - start)
         gather_points(block, points, element, start, count, u)
-        unsound += point_block(block, points.gradient[:, start : start + count], count)
+        unsound += point_block(block, points.gradient, start, count)
         element = scatter_points(block, points, element, start, count, force)
     return unsound
 
@@ -110,19 +110,27 @@ def scatter_points(block: Floats, points: Points, element: int, start: int, coun
     done = 0
     while True:
         last = min(count, points.first[element + 1] - start)
-        for i in range(4):
-            n = points.nodes[element, i]
-            row_x, row_y = POINT_FORCE + 2 * i * BLOCK, POINT_FORCE + (2 * i + 1) * BLOCK
-            fx, fy = 0.0, 0.0
-            for k in range(done, last):
-                fx += block[row_x + k]
-                fy += block[row_y + k]
-            force[n, 0] += fx
-            force[n, 1] += fy
+        f1x, f1y, f2x, f2y, f3x, f3y, f4x, f4y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(done, last):
+            f1x, f1y = f1x + block[k], f1y + block[BLOCK + k]
+            f2x, f2y = f2x + block[2 * BLOCK + k], f2y + block[3 * BLOCK + k]
+            f3x, f3y = f3x + block[4 * BLOCK + k], f3y + block[5 * BLOCK + k]
+            f4x, f4y = f4x + block[6 * BLOCK + k], f4y + block[7 * BLOCK + k]
+        add_at(force, points.nodes[element, 0], f1x, f1y)
+        add_at(force, points.nodes[element, 1], f2x, f2y)
+        add_at(force, points.nodes[element, 2], f3x, f3y)
+        add_at(force, points.nodes[element, 3], f4x, f4y)
         element += points.first[element + 1] == start + last
         if last == count:
             return element
         done = last
+
+
+@kernel(inline="always")
+def add_at(force: Floats, node: int, fx: float, fy: float) -> None:
+    """Add a force to that of a node."""
+    force[node, 0] += fx
+    force[node, 1] += fy
 
 
 @kernel
