@@ -37,6 +37,8 @@ D1X, D1Y, D2X, D2Y, HX, HY = (BLOCK * row for row in range(6))
 G1X, G1Y, G2X, G2Y, SX, SY, LAME, SHEAR, STIFFNESS = (BLOCK * row for row in range(6, 15))
 """Its constants: grad N_1 and grad N_2, 1/m; s, m; V lambda and V mu, N; hourglass stiffness k, N/m."""
 
+CONSTANTS = 9
+
 A1X, A1Y, A2X, A2Y, CX, CY = (BLOCK * row for row in range(15, 21))
 """Its results: (V P - k q s^T) grad N_1, the same with grad N_2, and k q, N/m."""
 
@@ -66,28 +68,68 @@ def series_piola(
     return p11, p12, p21, p22, y + z2
 
 
+@kernel(inline="always")
+def element_results(
+    d1x: float, d1y: float, d2x: float, d2y: float, hx: float, hy: float, g1x: float, g1y: float,
+    g2x: float, g2y: float, sx: float, sy: float, lame: float, shear: float, stiffness: float,
+) -> tuple[float, float, float, float, float, float, float]:  # fmt: skip
+    """Results of an element from its differences and constants, and what must not exceed the series' limit."""
+    h11, h12 = d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y
+    h21, h22 = d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
+    p11, p12, p21, p22, limit = series_piola(h11, h12, h21, h22, lame, shear)
+    cx, cy = stiffness * (hx - h11 * sx - h12 * sy), stiffness * (hy - h21 * sx - h22 * sy)
+    p11, p12, p21, p22 = p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy
+    a1x, a1y = p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y
+    a2x, a2y = p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
+    return a1x, a1y, a2x, a2y, cx, cy, limit
+
+
 @kernel(fastmath={"contract"})
 def element_block(block: Floats, count: int) -> int:
     """Results of the first ``count`` elements from their differences and constants; how many are unsound (J <= 0)."""
     beyond = 0
     for k in range(LANES * ((count + LANES - 1) // LANES)):
-        g1x, g1y, g2x, g2y = block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k]
-        sx, sy, stiffness = block[SX + k], block[SY + k], block[STIFFNESS + k]
-        d1x, d1y, d2x, d2y = block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k]
-        h11, h12 = d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y
-        h21, h22 = d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
-        p11, p12, p21, p22, limit = series_piola(h11, h12, h21, h22, block[LAME + k], block[SHEAR + k])
-        cx, cy = (
-            stiffness * (block[HX + k] - h11 * sx - h12 * sy),
-            stiffness * (block[HY + k] - h21 * sx - h22 * sy),
-        )
-        p11, p12, p21, p22 = p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy
-        block[A1X + k], block[A1Y + k] = p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y
-        block[A2X + k], block[A2Y + k] = p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
-        block[CX + k], block[CY + k] = cx, cy
-        block[BEYOND + k] = limit
+        a1x, a1y, a2x, a2y, cx, cy, limit = element_results(
+            block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k], block[HX + k], block[HY + k],
+            block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k], block[SX + k], block[SY + k],
+            block[LAME + k], block[SHEAR + k], block[STIFFNESS + k],
+        )  # fmt: skip
+        block[A1X + k], block[A1Y + k], block[A2X + k], block[A2Y + k] = a1x, a1y, a2x, a2y
+        block[CX + k], block[CY + k], block[BEYOND + k] = cx, cy, limit
         beyond += not limit <= SERIES_LIMIT
     return elements_beyond(block, count) if beyond > 0 else 0
+
+
+@kernel(fastmath={"contract"})
+def row_block(
+    block: Floats, constants: Floats, low_x: Floats, low_y: Floats, high_x: Floats, high_y: Floats
+) -> int:
+    """Results of equal elements in a row from the displacements along its sides; how many are unsound (J <= 0).
+
+    constants (9,); low_x, low_y, high_x, high_y (count + 1,), m.
+    """
+    g1x, g1y, g2x, g2y = constants[0], constants[1], constants[2], constants[3]
+    sx, sy, lame, shear, stiffness = constants[4], constants[5], constants[6], constants[7], constants[8]
+    beyond = 0
+    for k in range(len(low_x) - 1):
+        u1, u2, u3, u4 = low_x[k], low_x[k + 1], high_x[k + 1], high_x[k]
+        v1, v2, v3, v4 = low_y[k], low_y[k + 1], high_y[k + 1], high_y[k]
+        a1x, a1y, a2x, a2y, cx, cy, limit = element_results(
+            u1 - u3, v1 - v3, u2 - u4, v2 - v4, (u1 - u2) + (u3 - u4), (v1 - v2) + (v3 - v4),
+            g1x, g1y, g2x, g2y, sx, sy, lame, shear, stiffness,
+        )  # fmt: skip
+        block[A1X + k], block[A1Y + k], block[A2X + k], block[A2Y + k] = a1x, a1y, a2x, a2y
+        block[CX + k], block[CY + k], block[BEYOND + k] = cx, cy, limit
+        beyond += not limit <= SERIES_LIMIT
+    if beyond == 0:
+        return 0
+    for k in range(len(low_x) - 1):
+        u1, u2, u3, u4 = low_x[k], low_x[k + 1], high_x[k + 1], high_x[k]
+        v1, v2, v3, v4 = low_y[k], low_y[k + 1], high_y[k + 1], high_y[k]
+        block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k] = u1 - u3, v1 - v3, u2 - u4, v2 - v4
+        for c in range(CONSTANTS):
+            block[G1X + c * BLOCK + k] = constants[c]
+    return elements_beyond(block, len(low_x) - 1)
 
 
 @kernel

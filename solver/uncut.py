@@ -16,6 +16,7 @@ from phantomnode.solver.block import (
     A2X,
     A2Y,
     BLOCK,
+    CONSTANTS,
     CX,
     CY,
     D1X,
@@ -27,6 +28,7 @@ from phantomnode.solver.block import (
     HY,
     ROOM,
     element_block,
+    row_block,
 )
 from phantomnode.solver.layout import Rows, Scattered, scattered_lists
 from phantomnode.solver.model import Elements
@@ -34,9 +36,6 @@ from phantomnode.solver.q4 import smallest_jacobian
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-CONSTANTS = 9
-"""Rows of a block that hold constants, from G1X on."""
 
 
 def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
@@ -104,19 +103,19 @@ def add_by_threads(
 @kernel
 def add_strip(rows: Rows, scattered: Scattered, strip: int, u: Floats, force: Floats) -> int:
     """Add the forces of the elements of one strip; how many are unsound."""
-    block, unsound, kind = np.zeros(ROOM), 0, -1
+    block, unsound = np.zeros(ROOM), 0
+    ux, uy, fx, fy = u[:, 0], u[:, 1], force[:, 0], force[:, 1]
+    a1x, a2x, cx = block[A1X : A1X + BLOCK], block[A2X : A2X + BLOCK], block[CX : CX + BLOCK]
+    a1y, a2y, cy = block[A1Y : A1Y + BLOCK], block[A2Y : A2Y + BLOCK], block[CY : CY + BLOCK]
     for r in range(rows.strip[strip], rows.strip[strip + 1]):
-        if rows.kind[r] != kind:
-            kind = rows.kind[r]
-            fill_constants(block, rows.constants[kind])
+        constants = rows.constants[rows.kind[r]]
         for start in range(0, rows.length[r], BLOCK):
             count = min(BLOCK, rows.length[r] - start)
-            low, high = rows.low[r] + start, rows.high[r] + start
-            for axis in range(2):
-                difference_row(block, axis, u[low : low + count + 1, axis], u[high : high + count + 1, axis])
-            unsound += element_block(block, count)
-            for axis in range(2):
-                add_row(block, axis, force[low : low + count + 1, axis], force[high : high + count + 1, axis])
+            i, j = rows.low[r] + start, rows.high[r] + start
+            k, m = i + count + 1, j + count + 1
+            unsound += row_block(block, constants, ux[i:k], uy[i:k], ux[j:m], uy[j:m])
+            add_row(a1x, a2x, cx, fx[i:k], fx[j:m])
+            add_row(a1y, a2y, cy, fy[i:k], fy[j:m])
     first, last = scattered.strip[strip], scattered.strip[strip + 1]
     for start in range(first, last, BLOCK):
         count = min(BLOCK, last - start)
@@ -127,33 +126,14 @@ def add_strip(rows: Rows, scattered: Scattered, strip: int, u: Floats, force: Fl
 
 
 @kernel
-def fill_constants(block: Floats, constants: Floats) -> None:
-    """Set the (9,) constants of all elements of the block."""
-    for c in range(CONSTANTS):
-        row = block[G1X + c * BLOCK : G1X + (c + 1) * BLOCK]
-        for k in range(BLOCK):
-            row[k] = constants[c]
-
-
-@kernel
-def difference_row(block: Floats, axis: int, low: Floats, high: Floats) -> None:
-    """Differences of one component of the displacement along the lower and the upper side of a row, (count + 1,)."""
-    shift = axis * BLOCK
-    d1, d2, h = block[D1X + shift : D1X + shift + BLOCK], block[D2X + shift :], block[HX + shift :]
-    for k in range(len(low) - 1):
-        u1, u2, u3, u4 = low[k], low[k + 1], high[k + 1], high[k]
-        d1[k], d2[k], h[k] = u1 - u3, u2 - u4, (u1 - u2) + (u3 - u4)
-
-
-@kernel
-def add_row(block: Floats, axis: int, low: Floats, high: Floats) -> None:
+def add_row(a1: Floats, a2: Floats, c: Floats, low: Floats, high: Floats) -> None:
     """Add one component of the forces of a row to the nodes of its lower and its upper side, (count + 1,)."""
-    shift, last = axis * BLOCK, len(low) - 1
-    a1, a2, c = block[A1X + shift :], block[A2X + shift :], block[CX + shift :]
+    last = len(low) - 1
     low[0] -= a1[0] + c[0]
     high[0] += a2[0] + c[0]
     for k in range(1, last):
         low[k] += (c[k - 1] - a2[k - 1]) - (a1[k] + c[k])
+    for k in range(1, last):
         high[k] += (a1[k - 1] - c[k - 1]) + (a2[k] + c[k])
     low[last] += c[last - 1] - a2[last - 1]
     high[last] += a1[last - 1] - c[last - 1]

@@ -142,7 +142,8 @@ def random_cut_elements(count=90):
 
 
 @pytest.mark.twin(
-    "cut_elements.add_point_forces", "cut_elements.gather_points", "cut_elements.scatter_points", "cut_elements.add_at", "block.spread",
+    "cut_elements.add_point_forces", "cut_elements.gather_points", "cut_elements.scatter_points",
+    "cut_elements.add_at", "block.spread",
     "block.point_block", "block.points_beyond", "block.point_gradient",
     "cut_elements.cut_energy", "stress._point_stress",
 )  # fmt: skip

@@ -8,11 +8,11 @@ import pytest
 from test_elements import LAME, RHO, SHEAR, grid, twin_forces
 
 from phantomnode.solver import layout as layouts
-from phantomnode.solver.block import BLOCK, G1X, ROOM
+from phantomnode.solver.block import BLOCK
 from phantomnode.solver.layout import SHORTEST_ROW, element_constants, scattered_lists, uncut_lists
 from phantomnode.solver.motion import NODE_RANGE, move_by_threads
 from phantomnode.solver.q4 import one_point_elements
-from phantomnode.solver.uncut import add_row, add_uncut_forces, difference_row, fill_constants
+from phantomnode.solver.uncut import add_row, add_uncut_forces
 
 
 def uniform(columns, rows, h=0.01, low=(0.0, 0.0), rho=RHO):
@@ -34,7 +34,7 @@ def waves(x, size):
 
 @pytest.mark.parametrize("columns", [SHORTEST_ROW, 9, BLOCK, BLOCK + 1, 300])
 @pytest.mark.parametrize("size", [1e-3, 4e-3])
-@pytest.mark.twin("uncut.difference_row", "uncut.add_row", "uncut.fill_constants")
+@pytest.mark.twin("uncut.add_row", "block.row_block", "block.element_results")
 def test_rows_make_the_forces_of_numpy_and_of_scattered_elements(columns, size):
     """Around the length of a block; at the larger size with strains on both sides of the limit of the series."""
     x, _, e = uniform(columns, 5, low=(3.0, -7.0))
@@ -52,28 +52,16 @@ def test_rows_make_the_forces_of_numpy_and_of_scattered_elements(columns, size):
     assert np.abs(forces(lists, u) - twin).max() < 1e-13 * np.abs(twin).max()
 
 
-def test_pieces_of_a_row_one_by_one():
-    block, rng = np.zeros(ROOM), np.random.default_rng(3)
-    constants = rng.normal(size=9)
-    fill_constants(block, constants)
-    assert np.array_equal(
-        block.reshape(-1, BLOCK)[G1X // BLOCK :][:9], np.repeat(constants[:, None], BLOCK, 1)
-    )
-    low, high = rng.normal(size=(2, 8))
-    for axis in (0, 1):
-        difference_row(block, axis, low, high)
-        found = block.reshape(-1, BLOCK)[axis:6:2, :7]
-        hourglass = (low[:-1] - low[1:]) + (high[1:] - high[:-1])
-        assert np.array_equal(found, [low[:-1] - high[1:], low[1:] - high[:-1], hourglass])
-        a1, a2, c = block.reshape(-1, BLOCK)[15 + axis : 21 : 2, :7] = rng.normal(size=(3, 7))
-        on_low, on_high = np.zeros((2, 8))
-        add_row(block, axis, on_low, on_high)
-        expected = np.zeros((2, 8))
-        expected[0, :-1] -= a1 + c
-        expected[0, 1:] += c - a2
-        expected[1, 1:] += a1 - c
-        expected[1, :-1] += a2 + c
-        np.testing.assert_allclose([on_low, on_high], expected, rtol=0, atol=1e-14)
+def test_forces_of_a_row_go_to_both_of_its_sides():
+    a1, a2, c = np.random.default_rng(3).normal(size=(3, 7))
+    low, high = np.zeros((2, 8))
+    add_row(a1, a2, c, low, high)
+    expected = np.zeros((2, 8))
+    expected[0, :-1] -= a1 + c
+    expected[0, 1:] += c - a2
+    expected[1, 1:] += a1 - c
+    expected[1, :-1] += a2 + c
+    np.testing.assert_allclose([low, high], expected, rtol=0, atol=1e-14)
 
 
 def test_constants_hold_the_hourglass_vector():
