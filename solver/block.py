@@ -69,19 +69,19 @@ def series_piola(
 
 
 @kernel(inline="always")
-def element_results(
-    d1x: float, d1y: float, d2x: float, d2y: float, hx: float, hy: float, g1x: float, g1y: float,
-    g2x: float, g2y: float, sx: float, sy: float, lame: float, shear: float, stiffness: float,
-) -> tuple[float, float, float, float, float, float, float]:  # fmt: skip
-    """Results of an element from its differences and constants, and what must not exceed the series' limit."""
-    h11, h12 = d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y
-    h21, h22 = d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
-    p11, p12, p21, p22, limit = series_piola(h11, h12, h21, h22, lame, shear)
-    cx, cy = stiffness * (hx - h11 * sx - h12 * sy), stiffness * (hy - h21 * sx - h22 * sy)
-    p11, p12, p21, p22 = p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy
-    a1x, a1y = p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y
-    a2x, a2y = p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
-    return a1x, a1y, a2x, a2y, cx, cy, limit
+def gradient_of(
+    d1x: float, d1y: float, d2x: float, d2y: float, g1x: float, g1y: float, g2x: float, g2y: float
+) -> tuple[float, float, float, float]:
+    """H11, H12, H21, H22 from the differences across the diagonals."""
+    return d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y, d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
+
+
+@kernel(inline="always")
+def forces_of(
+    p11: float, p12: float, p21: float, p22: float, g1x: float, g1y: float, g2x: float, g2y: float
+) -> tuple[float, float, float, float]:
+    """P grad N_1 and P grad N_2."""
+    return p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y, p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
 
 
 @kernel(fastmath={"contract"})
@@ -89,11 +89,17 @@ def element_block(block: Floats, count: int) -> int:
     """Results of the first ``count`` elements from their differences and constants; how many are unsound (J <= 0)."""
     beyond = 0
     for k in range(LANES * ((count + LANES - 1) // LANES)):
-        a1x, a1y, a2x, a2y, cx, cy, limit = element_results(
-            block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k], block[HX + k], block[HY + k],
-            block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k], block[SX + k], block[SY + k],
-            block[LAME + k], block[SHEAR + k], block[STIFFNESS + k],
-        )  # fmt: skip
+        g1x, g1y, g2x, g2y = block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k]
+        sx, sy, stiffness = block[SX + k], block[SY + k], block[STIFFNESS + k]
+        h11, h12, h21, h22 = gradient_of(
+            block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k], g1x, g1y, g2x, g2y
+        )
+        p11, p12, p21, p22, limit = series_piola(h11, h12, h21, h22, block[LAME + k], block[SHEAR + k])
+        cx = stiffness * (block[HX + k] - h11 * sx - h12 * sy)
+        cy = stiffness * (block[HY + k] - h21 * sx - h22 * sy)
+        a1x, a1y, a2x, a2y = forces_of(
+            p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy, g1x, g1y, g2x, g2y
+        )
         block[A1X + k], block[A1Y + k], block[A2X + k], block[A2Y + k] = a1x, a1y, a2x, a2y
         block[CX + k], block[CY + k], block[BEYOND + k] = cx, cy, limit
         beyond += not limit <= SERIES_LIMIT
@@ -106,30 +112,42 @@ def row_block(
 ) -> int:
     """Results of equal elements in a row from the displacements along its sides; how many are unsound (J <= 0).
 
-    constants (9,); low_x, low_y, high_x, high_y (count + 1,), m.
+    constants (9,); low_x, low_y, high_x, high_y (count + 1,), m. Elements that follow each other by a shift are
+    parallelograms, so that s = 0.
     """
     g1x, g1y, g2x, g2y = constants[0], constants[1], constants[2], constants[3]
-    sx, sy, lame, shear, stiffness = constants[4], constants[5], constants[6], constants[7], constants[8]
+    lame, shear, stiffness = constants[6], constants[7], constants[8]
     beyond = 0
     for k in range(len(low_x) - 1):
         u1, u2, u3, u4 = low_x[k], low_x[k + 1], high_x[k + 1], high_x[k]
         v1, v2, v3, v4 = low_y[k], low_y[k + 1], high_y[k + 1], high_y[k]
-        a1x, a1y, a2x, a2y, cx, cy, limit = element_results(
-            u1 - u3, v1 - v3, u2 - u4, v2 - v4, (u1 - u2) + (u3 - u4), (v1 - v2) + (v3 - v4),
-            g1x, g1y, g2x, g2y, sx, sy, lame, shear, stiffness,
-        )  # fmt: skip
+        h11, h12, h21, h22 = gradient_of(u1 - u3, v1 - v3, u2 - u4, v2 - v4, g1x, g1y, g2x, g2y)
+        p11, p12, p21, p22, limit = series_piola(h11, h12, h21, h22, lame, shear)
+        a1x, a1y, a2x, a2y = forces_of(p11, p12, p21, p22, g1x, g1y, g2x, g2y)
         block[A1X + k], block[A1Y + k], block[A2X + k], block[A2Y + k] = a1x, a1y, a2x, a2y
-        block[CX + k], block[CY + k], block[BEYOND + k] = cx, cy, limit
+        block[CX + k], block[CY + k] = (
+            stiffness * ((u1 - u2) + (u3 - u4)),
+            stiffness * ((v1 - v2) + (v3 - v4)),
+        )
+        block[BEYOND + k] = limit
         beyond += not limit <= SERIES_LIMIT
-    if beyond == 0:
-        return 0
-    for k in range(len(low_x) - 1):
-        u1, u2, u3, u4 = low_x[k], low_x[k + 1], high_x[k + 1], high_x[k]
-        v1, v2, v3, v4 = low_y[k], low_y[k + 1], high_y[k + 1], high_y[k]
-        block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k] = u1 - u3, v1 - v3, u2 - u4, v2 - v4
-        for c in range(CONSTANTS):
-            block[G1X + c * BLOCK + k] = constants[c]
-    return elements_beyond(block, len(low_x) - 1)
+    return row_beyond(block, constants, low_x, low_y, high_x, high_y) if beyond > 0 else 0
+
+
+@kernel
+def row_beyond(
+    block: Floats, constants: Floats, low_x: Floats, low_y: Floats, high_x: Floats, high_y: Floats
+) -> int:
+    """Do the elements of a row beyond the limit of the series again; how many are unsound."""
+    count = len(low_x) - 1
+    for k in range(count):
+        block[D1X + k], block[D1Y + k] = low_x[k] - high_x[k + 1], low_y[k] - high_y[k + 1]
+        block[D2X + k], block[D2Y + k] = low_x[k + 1] - high_x[k], low_y[k + 1] - high_y[k]
+        block[SX + k], block[SY + k] = 0.0, 0.0
+        block[G1X + k], block[G1Y + k] = constants[0], constants[1]
+        block[G2X + k], block[G2Y + k] = constants[2], constants[3]
+        block[LAME + k], block[SHEAR + k] = constants[6], constants[7]
+    return elements_beyond(block, count)
 
 
 @kernel
@@ -141,14 +159,14 @@ def elements_beyond(block: Floats, count: int) -> int:
             continue
         g1x, g1y, g2x, g2y = block[G1X + k], block[G1Y + k], block[G2X + k], block[G2Y + k]
         sx, sy, cx, cy = block[SX + k], block[SY + k], block[CX + k], block[CY + k]
-        d1x, d1y, d2x, d2y = block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k]
-        h11, h12 = d1x * g1x + d2x * g2x, d1x * g1y + d2x * g2y
-        h21, h22 = d1y * g1x + d2y * g2x, d1y * g1y + d2y * g2y
+        h11, h12, h21, h22 = gradient_of(
+            block[D1X + k], block[D1Y + k], block[D2X + k], block[D2Y + k], g1x, g1y, g2x, g2y
+        )
         unsound += not is_sound(h11, h12, h21, h22)
         p11, p12, p21, p22 = first_piola(h11, h12, h21, h22, block[LAME + k], block[SHEAR + k])
-        p11, p12, p21, p22 = p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy
-        block[A1X + k], block[A1Y + k] = p11 * g1x + p12 * g1y, p21 * g1x + p22 * g1y
-        block[A2X + k], block[A2Y + k] = p11 * g2x + p12 * g2y, p21 * g2x + p22 * g2y
+        block[A1X + k], block[A1Y + k], block[A2X + k], block[A2Y + k] = forces_of(
+            p11 - cx * sx, p12 - cx * sy, p21 - cy * sx, p22 - cy * sy, g1x, g1y, g2x, g2y
+        )
     return unsound
 
 

@@ -34,7 +34,9 @@ def waves(x, size):
 
 @pytest.mark.parametrize("columns", [SHORTEST_ROW, 9, BLOCK, BLOCK + 1, 300])
 @pytest.mark.parametrize("size", [1e-3, 4e-3])
-@pytest.mark.twin("uncut.add_row", "block.row_block", "block.element_results")
+@pytest.mark.twin(
+    "uncut.add_row", "block.row_block", "block.row_beyond", "block.gradient_of", "block.forces_of"
+)
 def test_rows_make_the_forces_of_numpy_and_of_scattered_elements(columns, size):
     """Around the length of a block; at the larger size with strains on both sides of the limit of the series."""
     x, _, e = uniform(columns, 5, low=(3.0, -7.0))
