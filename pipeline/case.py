@@ -19,19 +19,23 @@ from phantomnode.pipeline.overrides import apply_overrides
 from phantomnode.pipeline.schema import Case
 
 __all__ = [
+    "CASE_FILE",
+    "SWEEP_FILE",
     "Case",
     "CaseError",
     "bundled_cases",
     "case_from_table",
+    "default_name",
     "find_case",
     "json_schema",
     "load_case",
+    "read_toml",
     "resolved_toml",
     "toml_of",
     "variants",
 ]
 
-CASE_FILE = "case.toml"
+CASE_FILE, SWEEP_FILE = "case.toml", "sweep.toml"
 
 
 def load_case(source: str | Path, overrides: Sequence[str] = ()) -> Case:
@@ -56,10 +60,10 @@ def load_case(source: str | Path, overrides: Sequence[str] = ()) -> Case:
         With everything that is wrong, each message naming the file and the key.
     """
     file = find_case(source)
-    table = _read(file)
+    table = read_toml(file)
     try:
         apply_overrides(table, overrides)
-        return case_from_table(table, file.parent, _default_name(file))
+        return case_from_table(table, file.parent, default_name(file))
     except CaseError as error:
         raise CaseError([m if m.startswith("--set") else f"{file}: {m}" for m in error.messages]) from error
 
@@ -148,12 +152,17 @@ def json_schema() -> dict[str, Any]:
 
 
 def bundled_cases() -> dict[str, Path]:
-    """Bundled cases by name: "folder" for its case.toml, "folder/variant" for another TOML file in it."""
+    """Bundled cases by name: "folder" for its case.toml, "folder/variant" for another TOML file in it.
+
+    A sweep.toml is no case: ``phantomnode batch`` finds it by the name of its folder.
+    """
     # By name, not by import: cases are data (see the import contracts in pyproject.toml).
     root = Path(str(resources.files("phantomnode.cases")))
     found = {}
     for file in sorted(root.glob("*/*.toml"), key=lambda f: (f.parent.name, f.name != CASE_FILE, f.name)):
         folder = file.parent.name
+        if file.name == SWEEP_FILE:
+            continue
         found[folder if file.name == CASE_FILE else f"{folder}/{file.stem}"] = file
     return found
 
@@ -182,20 +191,27 @@ def find_case(source: str | Path) -> Path:
     )
 
 
-def _read(file: Path) -> dict[str, Any]:
-    """The table in a TOML file."""
+def read_toml(file: Path) -> dict[str, Any]:
+    """The table in a TOML file.
+
+    Raises
+    ------
+    CaseError
+        If it cannot be read, or is no TOML.
+    """
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise CaseError(f"{file}: cannot be read ({error.strerror})") from error
     except UnicodeDecodeError as error:
-        raise CaseError(f"{file}: is not a text file in UTF-8; a case file is TOML text") from error
+        raise CaseError(f"{file}: is not a text file in UTF-8, as TOML is") from error
     except tomllib.TOMLDecodeError as error:
         raise CaseError(f"{file}: is not valid TOML: {error}") from error
 
 
-def _default_name(file: Path) -> str:
-    """The folder's name for a case.toml, else the file's, with what no name may hold replaced."""
-    raw = file.resolve().parent.name if file.name == CASE_FILE else file.stem
+def default_name(file: Path) -> str:
+    """The folder's name for a case.toml or sweep.toml, else the file's, with what no name may hold replaced."""
+    folder = file.resolve().parent.name
+    raw = {CASE_FILE: folder, SWEEP_FILE: f"{folder}_sweep"}.get(file.name, file.stem)
     name = "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in raw)
     return name if name[:1].isalpha() or name[:1] == "_" else f"case_{name}"

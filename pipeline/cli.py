@@ -1,4 +1,4 @@
-"""The command line: ``phantomnode run | check | cases | new | report | schema``.
+"""The command line: ``phantomnode run | batch | check | cases | new | report | schema``.
 
 Everything heavy is imported inside the commands, so that ``--help`` answers at once.
 """
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from phantomnode.pipeline.schema import Case
 
-DONE, INPUT_AT_FAULT, STOPPED, INTERRUPTED = 0, 2, 3, 130
-"""Exit codes: done; the input is at fault; stopped by a guard; interrupted (the state is written)."""
+DONE, INPUT_AT_FAULT, STOPPED, SOME_FAILED, INTERRUPTED = 0, 2, 3, 4, 130
+"""Exit codes: done; the input is at fault; stopped by a guard; some cases of a batch failed; interrupted."""
 
 RESULTS = Path("results")
 
@@ -47,7 +47,8 @@ app = App(
 
 Start with `phantomnode run ring_impact`, or with `phantomnode new my_case` for a case of your own.
 
-Exit codes: 0 done, 2 the input is at fault, 3 a guard stopped the run, 130 interrupted.""",
+Exit codes: 0 done, 2 the input is at fault, 3 a guard stopped the run, 4 some cases of a batch failed,
+130 interrupted.""",
     help_format="markdown",
 )
 
@@ -94,6 +95,64 @@ def run(
         summaries = run_all(loaded, folder, console=console, command=line, threads=threads)
         codes = {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}
         return max(codes[summary.status] for summary in summaries)
+
+    return _guarded(command)
+
+
+@app.command
+def batch(
+    sweep: Annotated[
+        str,
+        Parameter(
+            name="SWEEP",
+            help="A sweep file, a folder that holds sweep.toml, or the name of a bundled case with one.",
+        ),
+    ],
+    /,
+    *,
+    out: Annotated[Path | None, Parameter(help="Folder for the results; results/NAME unless given.")] = None,
+    workers: Annotated[
+        int | None, Parameter(help="Processes on this machine; as many as its cores allow unless given.")
+    ] = None,
+    threads: Annotated[int, Parameter(help="Threads of each worker, 1 unless given.")] = 1,
+    scheduler: Annotated[
+        str | None,
+        Parameter(help="Address of a running dask scheduler, as tcp://host:8786; its workers are used."),
+    ] = None,
+    resume: Annotated[
+        bool,
+        Parameter(negative=(), show_default=False, help="Go on: cases that have ended are left as they are."),
+    ] = False,
+    only_failed: Annotated[
+        bool, Parameter(negative=(), show_default=False, help="Go on, with the cases that failed only.")
+    ] = False,
+    dry_run: Annotated[
+        bool, Parameter(negative=(), show_default=False, help="Print the cases; run and write nothing.")
+    ] = False,
+) -> int:
+    """Run all cases of a sweep on several processes; write results.csv and plots.
+
+    For example:
+
+    ```
+    phantomnode batch ring_impact --dry-run
+    phantomnode batch my_case/sweep.toml --out study --workers 8
+    phantomnode batch my_case/sweep.toml --out study --resume
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.batch import run_batch, show_plan
+
+        if dry_run:
+            show_plan(sweep, out, console)
+            return DONE
+        line = ("phantomnode", *sys.argv[1:])
+        ended = run_batch(
+            sweep, out, workers=workers, threads=threads, scheduler=scheduler, resume=resume,
+            only_failed=only_failed, console=console, command=line,
+        )  # fmt: skip
+        return {"done": DONE, "failed": SOME_FAILED, "interrupted": INTERRUPTED}[ended.status]
 
     return _guarded(command)
 

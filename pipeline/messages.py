@@ -37,8 +37,8 @@ _KINDS = {
 }
 
 
-def describe(errors: ValidationError, table: Mapping[str, Any]) -> list[str]:
-    """One message for each thing that is wrong in a case.
+def describe(errors: ValidationError, table: Mapping[str, Any], root: type[BaseModel] = Case) -> list[str]:
+    """One message for each thing that is wrong in a case, or in another file of tables.
 
     Parameters
     ----------
@@ -46,6 +46,8 @@ def describe(errors: ValidationError, table: Mapping[str, Any]) -> list[str]:
         What pydantic found.
     table : mapping
         The case as it was read, before validation.
+    root : model
+        What the file holds.
 
     Returns
     -------
@@ -55,7 +57,7 @@ def describe(errors: ValidationError, table: Mapping[str, Any]) -> list[str]:
     found = errors.errors(include_url=False)
     # A list is also called too short when entries of it are faulty; their own messages say it better.
     kept = [e for e in found if e["type"] != "too_short" or not any(_inside(other, e) for other in found)]
-    return [_describe(error, table) for error in kept]
+    return [_describe(error, table, root) for error in kept]
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
@@ -98,20 +100,20 @@ def _inside(inner: ErrorDetails, outer: ErrorDetails) -> bool:
     return len(inner["loc"]) > depth and inner["loc"][:depth] == outer["loc"]
 
 
-def _describe(error: ErrorDetails, table: Mapping[str, Any]) -> str:
+def _describe(error: ErrorDetails, table: Mapping[str, Any], root: type[BaseModel]) -> str:
     """One error as a message."""
     loc, kind, context = error["loc"], error["type"], error.get("ctx", {})
     path = dotted(loc)
     if kind == "extra_forbidden":
-        return _unknown_key(loc)
+        return _unknown_key(loc, root)
     if kind == "missing":
-        return _missing(loc, table)
+        return _missing(loc, table, root)
     if kind == "value_error":
         return f"{path}: {context['error']}"
     if loc and loc[-1] == "[key]":
         name = error["input"]
         return f"{dotted(loc[:-2])}: {name!r} cannot be a name; use letters, digits, _ and -, a letter first"
-    return f"{path} = {shown(error['input'])}: {_fault(error)}{_meaning(loc)}"
+    return f"{path} = {shown(error['input'])}: {_fault(error)}{_meaning(loc, root)}"
 
 
 def _fault(error: ErrorDetails) -> str:
@@ -159,33 +161,35 @@ def _closest_choice(value: Any, choices: Sequence[str]) -> str:
     return suggestion(value, [choice.strip('"') for choice in choices]) if isinstance(value, str) else ""
 
 
-def _unknown_key(loc: Keys) -> str:
+def _unknown_key(loc: Keys, root: type[BaseModel]) -> str:
     """The message for a key that does not exist, with those that do."""
-    owner = model_at(loc[:-1])
+    owner = model_at(loc[:-1], root)
     valid = list(owner.model_fields) if owner else []
-    where = dotted(loc[:-1]) or "the case"
+    where = dotted(loc[:-1]) or f"the {root.__name__.lower()}"
     return f"{dotted(loc)}: unknown key{suggestion(str(loc[-1]), valid)}; {where} knows {listed(valid)}"
 
 
-def _missing(loc: Keys, table: Mapping[str, Any]) -> str:
+def _missing(loc: Keys, table: Mapping[str, Any], root: type[BaseModel]) -> str:
     """The message for a key, or an entry of a list, that is not there."""
     if isinstance(loc[-1], int):
         given = value_at(table, loc[:-1])
-        return f"{dotted(loc[:-1])} = {shown(given)}: needs {_entries(loc[:-1])}{_meaning(loc[:-1])}"
-    return f"{dotted(loc)}: is missing; add it{_meaning(loc)}"
+        return (
+            f"{dotted(loc[:-1])} = {shown(given)}: needs {_entries(loc[:-1], root)}{_meaning(loc[:-1], root)}"
+        )
+    return f"{dotted(loc)}: is missing; add it{_meaning(loc, root)}"
 
 
-def _entries(loc: Keys) -> str:
+def _entries(loc: Keys, root: type[BaseModel]) -> str:
     """How many entries a fixed list has, in words."""
-    annotation, _ = _walk(loc)
+    annotation, _ = _walk(loc, root)
     count = len([entry for entry in get_args(_plain(annotation)) if entry is not Ellipsis])
     return f"{count} entries" if count else "more entries"
 
 
-def _meaning(loc: Keys) -> str:
+def _meaning(loc: Keys, root: type[BaseModel]) -> str:
     """What the key means and its unit, from the schema."""
     for end in range(len(loc), 0, -1):
-        _, field = _walk(loc[:end])
+        _, field = _walk(loc[:end], root)
         if field is not None and field.description:
             return f" ({field.description})"
     return ""
@@ -208,15 +212,15 @@ def value_at(table: Any, loc: Sequence[int | str]) -> Any:
     return table
 
 
-def model_at(loc: Keys) -> type[BaseModel] | None:
+def model_at(loc: Keys, root: type[BaseModel] = Case) -> type[BaseModel] | None:
     """The model of the table at a location, None where there is no table."""
-    annotation = _plain(_walk(loc)[0])
+    annotation = _plain(_walk(loc, root)[0])
     return annotation if isinstance(annotation, type) and issubclass(annotation, BaseModel) else None
 
 
-def _walk(loc: Keys) -> tuple[Any, FieldInfo | None]:
+def _walk(loc: Keys, root: type[BaseModel]) -> tuple[Any, FieldInfo | None]:
     """The type at a location, and the field where the location ends on one."""
-    annotation: Any = Case
+    annotation: Any = root
     field: FieldInfo | None = None
     for key in loc:
         annotation = _plain(annotation)

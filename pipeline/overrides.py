@@ -43,9 +43,31 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> None:
 def _apply(table: dict[str, Any], override: str) -> None:
     """Set one value."""
     path, equals, text = override.partition("=")
-    keys = [key.strip() for key in path.split(".")]
-    if not equals or not all(keys):
+    if not equals or not all(key.strip() for key in path.split(".")):
         raise CaseError("write key.path=value, as in --set time.end=0.01")
+    set_key(table, path, toml_value(text.strip()))
+
+
+def set_key(table: dict[str, Any], path: str, value: Any) -> None:
+    """Set one key of a case, as read from TOML, in place.
+
+    Parameters
+    ----------
+    table : dict
+        The case.
+    path : str
+        ``key.path``, as in :func:`apply_overrides`.
+    value : object
+        What TOML reads.
+
+    Raises
+    ------
+    CaseError
+        If the path leads nowhere.
+    """
+    keys = [key.strip() for key in path.split(".")]
+    if not all(keys):
+        raise CaseError("write the keys with single dots between them, as in time.end")
     if keys[0] not in Case.model_fields:
         known = listed(Case.model_fields)
         raise CaseError(
@@ -59,7 +81,7 @@ def _apply(table: dict[str, Any], override: str) -> None:
     holder: Any = table
     for depth, key in enumerate(keys[:-1]):
         holder = _inside(holder, key, ".".join(keys[: depth + 1]))
-    _assign(holder, keys[-1], toml_value(text.strip()), ".".join(keys[:-1]))
+    _assign(holder, keys[-1], value, ".".join(keys[:-1]))
 
 
 def _inside(holder: Any, key: str, path: str) -> Any:

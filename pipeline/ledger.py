@@ -1,0 +1,110 @@
+"""What became of the cases of a batch: results.csv, and the table that is shown."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import time
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.one_case import DONE, Outcome
+from phantomnode.pipeline.outputs import CASE_COLUMNS, output_of
+from phantomnode.pipeline.sweep import Study
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+WAITING = Outcome("waiting", "", {})
+"""Of a case that has not ended, whether it has begun or not."""
+EVERY = 1.0
+"""Least time between two writes of results.csv, s."""
+MOST_ROWS = 200
+"""Of the table that is shown; of more cases it shows those that are not done."""
+
+
+class Ledger:
+    """The outcomes of all cases, and the file that holds them.
+
+    Parameters
+    ----------
+    study : Study
+    folders : sequence of str
+        The folder of each case, within that of the batch.
+    outcomes : sequence of Outcome
+        What is known before anything runs; WAITING where nothing is.
+    """
+
+    def __init__(self, study: Study, folders: Sequence[str], outcomes: Sequence[Outcome]) -> None:
+        self.study, self.folders, self.outcomes = study, tuple(folders), list(outcomes)
+        self._lines = [self._line(place) for place in range(len(self.outcomes))]
+        self._written = float("-inf")
+
+    def enter(self, place: int, outcome: Outcome) -> None:
+        """Note how a case ended."""
+        self.outcomes[place] = outcome
+        self._lines[place] = self._line(place)
+
+    def count(self) -> Counter[str]:
+        """How many cases there are of each status."""
+        return Counter(outcome.status for outcome in self.outcomes)
+
+    def write(self, folder: Path, *, now: bool = True) -> None:
+        """Write results.csv in one step; without ``now``, at most once a second."""
+        if not now and time.monotonic() < self._written + EVERY:
+            return
+        header = _csv([*CASE_COLUMNS, *self.study.sweep.axis, *self.study.outputs])
+        write_atomically(folder / "results.csv", header + "".join(self._lines), durable=now)
+        self._written = time.monotonic()
+
+    def table(self) -> Table:
+        """The table of all cases: values, status, time, what came out."""
+        from rich.table import Table
+
+        table = Table(box=None, header_style="bold")
+        for name in self.study.sweep.axis:
+            table.add_column(name, justify="right")
+        for name in ("status", "wall, s", *self.study.shown):
+            table.add_column(name, justify="left" if name == "status" else "right", overflow="fold")
+        many = len(self.outcomes) > MOST_ROWS
+        for point, outcome in zip(self.study.points, self.outcomes, strict=True):
+            if many and outcome.status == DONE:
+                continue
+            style = {DONE: "green", WAITING.status: "dim"}.get(outcome.status, "red")
+            shown = [_short(output_of(outcome.figures, name)) for name in ("wall_s", *self.study.shown)]
+            values = (_short(point.values[name]) for name in self.study.sweep.axis)
+            table.add_row(*values, f"[{style}]{outcome.status}[/]", *shown)
+        return table
+
+    def _line(self, place: int) -> str:
+        """A row of results.csv."""
+        point, outcome = self.study.points[place], self.outcomes[place]
+        inputs = [_text(point.values[name]) for name in self.study.sweep.axis]
+        outputs = [_text(output_of(outcome.figures, name)) for name in self.study.outputs]
+        folder, status, reason = self.folders[place], outcome.status, outcome.reason
+        return _csv([point.name, folder, status, reason, point.hash, *inputs, *outputs])
+
+
+def _csv(cells: Sequence[str]) -> str:
+    """A line of a CSV file."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(cells)
+    return line.getvalue()
+
+
+def _text(value: Any) -> str:
+    """A value for a program to read: all digits of a number, JSON of a list or table, nothing for None."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    return json.dumps(value)
+
+
+def _short(value: Any) -> str:
+    """A value for people to read."""
+    from rich.markup import escape
+
+    return f"{value:.5g}" if isinstance(value, float) else escape(_text(value))

@@ -1,0 +1,212 @@
+"""One case of a batch, as a worker runs it: once at a time, with its outcome in a file that is written last."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import tomllib
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from phantomnode import __version__
+from phantomnode.pipeline.files import write_atomically
+
+OUTCOME = "outcome.json"
+"""Of a case in its folder: status, reason, hash and version, and how often it was begun by which batch."""
+RETRIES = 2
+"""How often a case whose worker died is begun again."""
+DONE, STOPPED, FAILED, RUNNING, INTERRUPTED = "done", "stopped", "failed", "running", "interrupted"
+LOCK = ".lock"
+WAIT = 0.2
+"""Between two looks at a folder that another process holds, s."""
+
+
+class Order(NamedTuple):
+    """What a worker gets.
+
+    case: resolved, as TOML; folder: of its results; hash: of the case; batch: names the batch that orders it, so
+    that its attempts are counted, and not those of a batch before; threads: of a step; command: the command line.
+    """
+
+    case: str
+    folder: str
+    hash: str
+    batch: str
+    threads: int = 1
+    command: tuple[str, ...] = ()
+
+
+class Outcome(NamedTuple):
+    """How a case ended: its status, why it is not done, and the content of summary.json (empty without one)."""
+
+    status: str
+    reason: str
+    figures: dict[str, Any]
+
+
+def run_order(order: Order) -> Outcome:
+    """Run a case, unless it is found finished, and write how it ended.
+
+    The same order may reach two workers, where one was taken for dead: the second waits for the first. What a
+    case does wrong is its outcome; only a folder that cannot be written raises (OSError).
+    """
+    folder = Path(order.folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    with held(folder / LOCK):
+        before = read_record(folder)
+        own = before.get("batch") == order.batch
+        if is_of(before, order.hash) and (before["status"] == DONE or own and before["status"] != RUNNING):
+            return outcome_in(folder)
+        attempt = before["attempt"] + 1 if own else 1
+        if attempt > RETRIES + 1:
+            return _end(order, attempt, FAILED, f"its worker died {RETRIES + 1} times")
+        _record(order, attempt, RUNNING)
+        remove_parts(folder)
+        return _end(order, attempt, *_attempt(order))
+
+
+def _attempt(order: Order) -> tuple[str, str, str]:
+    """Run the case: its status, the reason, and the traceback of a fault of the program."""
+    from phantomnode.geometry.errors import GeometryError
+    from phantomnode.pipeline.case import case_from_table
+    from phantomnode.pipeline.errors import CaseError
+    from phantomnode.pipeline.run import run
+
+    try:
+        case = case_from_table(tomllib.loads(order.case))
+        summary = run(case, order.folder, command=order.command, threads=order.threads)
+    except (CaseError, GeometryError, OSError) as error:
+        return FAILED, str(error), ""
+    except Exception as error:  # the batch goes on; the table and the file say what happened
+        return FAILED, f"{type(error).__name__}: {error}", traceback.format_exc()
+    return summary.status, str(summary.figures["reason"]), ""
+
+
+def _end(order: Order, attempt: int, status: str, reason: str, trace: str = "") -> Outcome:
+    """Write how a case ended."""
+    _record(order, attempt, status, reason=reason, **({"traceback": trace} if trace else {}))
+    return outcome_in(Path(order.folder))
+
+
+def _record(order: Order, attempt: int, status: str, **more: str) -> None:
+    """Write the file of the outcome."""
+    table = {"status": status, **more, "hash": order.hash, "version": __version__}
+    text = json.dumps({**table, "batch": order.batch, "attempt": attempt}, indent=2, ensure_ascii=False)
+    write_atomically(Path(order.folder) / OUTCOME, text + "\n")
+
+
+def read_record(folder: Path) -> dict[str, Any]:
+    """The file of an outcome; empty where there is none, or none that can be read."""
+    return _json(folder / OUTCOME)
+
+
+def is_of(record: dict[str, Any], digest: str) -> bool:
+    """Whether the file of an outcome is about the case of a hash, as this version runs it."""
+    return bool(record.get("hash") == digest and record.get("version") == __version__)
+
+
+def outcome_in(folder: Path) -> Outcome:
+    """The outcome in a folder that has one."""
+    record = read_record(folder)
+    figures = _json(folder / "summary.json") if record["status"] != RUNNING else {}
+    return Outcome(record["status"], record.get("reason", ""), figures)
+
+
+def _json(file: Path) -> dict[str, Any]:
+    """The table in a file; empty where there is no such file, or a damaged one."""
+    try:
+        table = json.loads(file.read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return {}
+    return table if isinstance(table, dict) else {}
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what a process that was killed had not finished writing."""
+    for part in folder.rglob(".*.part"):
+        part.unlink()
+
+
+@contextmanager
+def held(path: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold a lock; the system gives it back when the process ends, however that happens.
+
+    Parameters
+    ----------
+    path : Path
+        The file that stands for it; removed in the end.
+    wait : bool
+        Wait for another process that holds it.
+
+    Raises
+    ------
+    BlockingIOError
+        Where another process holds it and ``wait`` is false.
+    OSError
+        Where the file cannot be made.
+    """
+    import fcntl
+
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if _is_still(path, handle):
+                break
+            os.close(handle)  # the one before removed it in between
+        except BlockingIOError:
+            os.close(handle)
+            if not wait:
+                raise
+            time.sleep(WAIT)
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+        os.close(handle)
+
+
+def _is_still(path: Path, handle: int) -> bool:
+    """Whether a path leads to the file that is open."""
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(handle))
+    except FileNotFoundError:
+        return False
+
+
+WARM_UP = """
+time = { end = 2e-5 }
+output = { fields = { count = 1 }, history = { count = 2 } }
+material.soft = { E = 1e9, nu = 0.3, rho = 1000.0 }
+[body.disc]
+geometry = { circle = { centre = [0.0, 0.1], radius = 0.099 } }
+grid = { kind = "cartesian", cell = 0.04 }
+material = "soft"
+initial_velocity = [0.0, -50.0]
+[body.floor]
+geometry = { rectangle = { low = [-0.2, -0.1], high = [0.2, 0.0] } }
+grid = { kind = "cartesian", cell = 0.05, aligned = true }
+material = "soft"
+[contact.landing]
+slave = "disc.outer"
+master = "floor.top"
+[boundary.base]
+on = "floor.bottom"
+displacement = { x = 0.0, y = 0.0 }
+"""
+"""A few elements and steps: what compiles the kernels."""
+
+
+def warm_up() -> None:
+    """Compile the kernels, or find them compiled, so that the workers need not all do it at once."""
+    import tempfile
+
+    from phantomnode.pipeline.case import case_from_table
+    from phantomnode.pipeline.run import run
+
+    with tempfile.TemporaryDirectory(prefix="phantomnode-") as folder:
+        run(case_from_table(tomllib.loads(WARM_UP)), Path(folder) / "results")

@@ -1,0 +1,62 @@
+"""The outputs of a case: single numbers, by the names of their columns in results.csv."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from phantomnode.pipeline.schema import Case
+
+SCALARS = (
+    "energy_error_max", "smallest_J", "stable_step_min", "internal_energy_max", "hourglass_energy_max",
+    "steps", "dt", "dt_stable", "end_time", "wall_s", "step_loop_s", "element_updates_per_s",
+)  # fmt: skip
+COUNTS = (
+    "grid_cells", "elements", "cut", "doubled", "nodes", "phantom_nodes", "relocated_nodes", "smallest_fraction",
+    "contact_points",
+)  # fmt: skip
+ENERGIES = ("kinetic", "internal", "hourglass", "contact", "external_work", "friction", "damping")
+CASE_COLUMNS = ("case", "folder", "status", "reason", "hash")
+FIXED = frozenset({*CASE_COLUMNS, *SCALARS})
+"""Names that no axis can have."""
+
+
+def known_outputs(case: Case) -> Iterator[str]:
+    """Names of the outputs that a case has when it has run, in the order of results.csv."""
+    for pair in case.contact:
+        yield f"peak_contact_force.{pair}"
+        yield f"largest_penetration.{pair}"
+        yield f"contact_phases.{pair}"
+        yield from (f"contact_impulse.{pair}.{axis}" for axis in "xy")
+    yield from (f"peak_reaction.{boundary}" for boundary in case.boundary)
+    for body in case.body:
+        yield from (f"velocity.{body}.{when}.{axis}" for when in ("start", "end") for axis in "xy")
+        yield f"mass.{body}"
+    yield from SCALARS
+    yield from (f"energies.{energy}" for energy in ENERGIES)
+    yield from (f"counts.{count}" for count in COUNTS)
+
+
+def output_of(figures: Mapping[str, Any], name: str) -> float | int | None:
+    """An output of a run.
+
+    Parameters
+    ----------
+    figures : mapping
+        The content of summary.json.
+    name : str
+        One of :func:`known_outputs` (names in a case hold no dots). The parts of a vector are x and y; of a list
+        the length is taken.
+
+    Returns
+    -------
+    float, int or None
+        None where the run has not come so far, or where it is not finite.
+    """
+    value: Any = figures
+    for key in name.split("."):
+        if isinstance(value, Mapping):
+            value = value.get(key)
+        elif value is not None:
+            value = value["xy".index(key)]
+    return len(value) if isinstance(value, list | tuple) else value
