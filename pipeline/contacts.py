@@ -22,7 +22,7 @@ from phantomnode.solver.contact import depth_at, nearest_segment
 from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Contact, Model
-from phantomnode.solver.search import nearest_wall
+from phantomnode.solver.search import nearest_wall, segment_ends
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -299,9 +299,10 @@ def _behind(contact: Contact, k: int, places: Floats, x: Floats) -> Floats:
     """(g,) Depth of places in the obstacle of pass k, m, at any distance but beyond its free ends."""
     first, last = contact.master_first[k : k + 2]
     segments, still = np.arange(last), np.zeros_like(x)
+    ends = segment_ends(contact, 0, last, x, still)
     depths = np.zeros(len(places))
     for i, (px, py) in enumerate(places):
-        _, s, t = nearest_segment(contact, segments, first, last, px, py, x, still)
+        _, s, t = nearest_segment(ends, segments, first, last, px, py)
         depth, _, _, t = depth_at(contact, s, t, px, py, x, still)
         depths[i] = depth if 0.0 <= t <= 1.0 else 0.0
     return depths

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from phantomnode.kernels import kernel
 from phantomnode.solver.model import Contact
-from phantomnode.solver.search import Candidates, closest, position
+from phantomnode.solver.search import Candidates, closest, place_ends, position
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -54,18 +54,16 @@ def segment_normal(contact: Contact, s: int, x: Floats, u: Floats) -> tuple[floa
 
 @kernel
 def nearest_segment(
-    contact: Contact, segments: Ints, first: int, last: int, px: float, py: float, x: Floats, u: Floats
+    ends: Floats, segments: Ints, first: int, last: int, px: float, py: float
 ) -> tuple[float, int, float]:
     """Nearest of segments[first:last] to the point p: squared distance, m^2, number, and parameter t there.
 
-    Of equally near ones the first (that is, the lowest number) is taken.
+    ends (s, 4) are those of all segments. Of equally near ones the first (the lowest number) is taken.
     """
     best, nearest, t_best = math.inf, -1, 0.0
     for c in range(first, last):
         s = segments[c]
-        ax, ay = position(contact.master_nodes[s], contact.start_shape[s], x, u)
-        bx, by = position(contact.master_nodes[s], contact.end_shape[s], x, u)
-        d2, t = closest(px, py, ax, ay, bx, by)
+        d2, t = closest(px, py, ends[s, 0], ends[s, 1], ends[s, 2], ends[s, 3])
         if d2 < best:
             best, nearest, t_best = d2, s, t
     return best, nearest, t_best
@@ -182,6 +180,7 @@ def add_contact_forces(
     normal : (g, 2) float64
         Overwritten where closed: direction of the force on the slave.
     """
+    place_ends(contact, candidates, x, u)
     for k in range(len(pair_force)):
         pair_force[k, 0], pair_force[k, 1] = 0.0, 0.0
     for k in range(len(contact.penalty)):
@@ -192,7 +191,7 @@ def add_contact_forces(
             gap[g] = OPEN
             px, py = position(contact.slave_nodes[g], contact.slave_shape[g], x, u)
             first, last = candidates.first[i], candidates.first[i + 1]
-            d2, s, t = nearest_segment(contact, candidates.segments, first, last, px, py, x, u)
+            d2, s, t = nearest_segment(candidates.ends, candidates.segments, first, last, px, py)
             if d2 > reach2:
                 continue
             depth, nx, ny, t = depth_at(contact, s, t, px, py, x, u)

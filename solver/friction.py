@@ -138,7 +138,7 @@ def stick_or_slip(
     u, g = state.u, candidates.near[i]
     px, py = position(contact.slave_nodes[g], contact.slave_shape[g], x, u)
     first, last = candidates.first[i], candidates.first[i + 1]
-    _, s, t = nearest_segment(contact, candidates.segments, first, last, px, py, x, u)
+    _, s, t = nearest_segment(candidates.ends, candidates.segments, first, last, px, py)
     depth, nx, ny, t = depth_at(contact, s, t, px, py, x, u)
     if state.anchor[g] < 0:  # it has just closed: nothing is stretched yet
         state.anchor[g], state.anchor_at[g] = s, t

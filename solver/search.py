@@ -43,14 +43,17 @@ class Candidates(NamedTuple):
 
     near: the slave points that have candidates, ascending; pair k has near_first[k] .. near_first[k + 1], and
     what follows the last pair is unused; first, segments: the candidates of near[i] are segments[first[i]] ..
-    segments[first[i + 1]], ascending; built_slave, built_master: the displacement of search.slave_nodes and
-    search.master_nodes at that time, m.
+    segments[first[i + 1]], ascending; wanted: the segments that are in any list, ascending; ends (s, 4) current
+    ends ax, ay, bx, by, m, of those segments (:func:`place_ends`); built_slave, built_master: the displacement of
+    search.slave_nodes and search.master_nodes at the time the lists were built, m.
     """
 
     near: Ints
     near_first: Ints
     first: Ints
     segments: Ints
+    wanted: Ints
+    ends: Floats
     built_slave: Floats
     built_master: Floats
 
@@ -134,6 +137,32 @@ def segment_ends(contact: Contact, first: int, last: int, x: Floats, u: Floats) 
         row[0], row[1] = position(nodes, contact.start_shape[s], x, u)
         row[2], row[3] = position(nodes, contact.end_shape[s], x, u)
     return ends
+
+
+@kernel
+def place_ends(contact: Contact, candidates: Candidates, x: Floats, u: Floats) -> None:
+    """Write the ends of the wanted segments at the displacement u."""
+    for w in range(len(candidates.wanted)):
+        s = candidates.wanted[w]
+        nodes, row = contact.master_nodes[s], candidates.ends[s]
+        row[0], row[1] = position(nodes, contact.start_shape[s], x, u)
+        row[2], row[3] = position(nodes, contact.end_shape[s], x, u)
+
+
+@kernel
+def listed(segments: Ints, filled: int, count: int) -> Ints:
+    """Which of ``count`` numbers stand in segments[:filled], each once, ascending."""
+    seen, total = np.zeros(count, dtype=np.bool_), 0
+    for i in range(filled):
+        total += not seen[segments[i]]
+        seen[segments[i]] = True
+    wanted = np.empty(total, dtype=np.int64)
+    total = 0
+    for s in range(count):
+        if seen[s]:
+            wanted[total] = s
+            total += 1
+    return wanted
 
 
 @kernel
@@ -230,10 +259,10 @@ def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> 
     points, pairs = len(contact.slave_weight), len(contact.penalty)
     near, near_first = np.empty(points, dtype=np.int64), np.zeros(pairs + 1, dtype=np.int64)
     first, segments = np.zeros(points + 1, dtype=np.int64), np.empty(4 * points, dtype=np.int64)
-    count, filled = 0, 0
+    count, filled, all_ends = 0, 0, segment_ends(contact, 0, len(contact.master_nodes), x, u)
     for k in range(pairs):
         master = contact.master_first[k]
-        ends = segment_ends(contact, master, contact.master_first[k + 1], x, u)
+        ends = all_ends[master : contact.master_first[k + 1]]
         if len(ends) > 0:
             margin = contact.reach[k] + search.skin[k]
             x0, y0, size, columns, rows = bin_grid(ends, margin)
@@ -258,7 +287,8 @@ def build_candidates(contact: Contact, search: Search, x: Floats, u: Floats) -> 
                     first[count] = filled
         near_first[k + 1] = count
     built_slave, built_master = rows_of(u, search.slave_nodes), rows_of(u, search.master_nodes)
-    return Candidates(near, near_first, first, segments, built_slave, built_master)
+    wanted = listed(segments, filled, len(contact.master_nodes))
+    return Candidates(near, near_first, first, segments, wanted, all_ends, built_slave, built_master)
 
 
 @kernel

@@ -45,13 +45,13 @@ def test_nearest_of_some_segments():
     ends, segments = ends_of(contact, x + u), rng.permutation(24)
     for p in rng.uniform(-1.5, 1.5, (200, 2)):
         square, t = places(p[None], ends[segments[3:20], :2], ends[segments[3:20], 2:])
-        d2, s, at = nearest_segment(contact, segments, 3, 20, *p, x, u)
+        d2, s, at = nearest_segment(ends, segments, 3, 20, *p)
         best = int(np.argmin(square))
         if t[0, best] in (0.0, 1.0):  # two segments end there: the first counts, where NumPy sees rounding
             best = int(np.flatnonzero(square[0] < square[0, best] + 1e-14)[0])
         assert s == segments[3 + best]
         assert (d2, at) == pytest.approx((square[0, best], t[0, best]), rel=0, abs=1e-13)
-    assert nearest_segment(contact, segments, 5, 5, *p, x, u) == (np.inf, -1, 0.0)
+    assert nearest_segment(ends, segments, 5, 5, *p) == (np.inf, -1, 0.0)
 
 
 @pytest.mark.twin("contact.depth_at")

@@ -15,7 +15,7 @@ from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import Contact, Model, State
 from phantomnode.solver.q4 import one_point_elements
-from phantomnode.solver.search import build_candidates, prepare_search
+from phantomnode.solver.search import build_candidates, prepare_search, segment_ends
 from phantomnode.solver.timestep import stable_step
 
 STUCK = 1e6
@@ -161,9 +161,10 @@ def twin(contact, x, u, gap, anchor, anchor_at):
     """Friction of points on ONE segment's straight line each, in plain NumPy: forces and spring energy."""
     force, energy, y = np.zeros_like(x), 0.0, x + u
     segments = np.arange(len(contact.following))
+    ends = segment_ends(contact, 0, len(segments), x, u)
     for g in np.flatnonzero(gap > 0.0):
         p = contact.slave_shape[g] @ y[contact.slave_nodes[g]]
-        _, s, t = nearest_segment(contact, segments, 0, len(segments), *p, x, u)
+        _, s, t = nearest_segment(ends, segments, 0, len(segments), *p)
         depth, nx, ny, t = depth_at(contact, s, t, *p, x, u)
 
         def carriers(s, t):

@@ -17,6 +17,7 @@ from phantomnode.solver.search import (
     movement_box,
     outdated,
     own_neighbourhood,
+    place_ends,
     position,
     prepare_search,
     rows_of,
@@ -187,12 +188,16 @@ def assert_candidates(contact, x, u, hidden):
     assert lists.near_first.tolist() == [0, *np.searchsorted(near, contact.slave_first[1:])]
     assert lists.first[: count + 1].tolist() == [0, *np.cumsum(wanted[near].sum(axis=1))]
     assert lists.segments[: lists.first[count]].tolist() == np.nonzero(wanted)[1].tolist()
+    assert lists.wanted.tolist() == np.flatnonzero(wanted.any(axis=0)).tolist()
+    np.testing.assert_allclose(lists.ends, ends, rtol=0, atol=1e-13)
+    place_ends(contact, lists, x, u + 0.25)
+    np.testing.assert_allclose(lists.ends[lists.wanted], ends[lists.wanted] + 0.25, rtol=0, atol=1e-13)
     assert np.array_equal(lists.built_slave, u[search.slave_nodes])
     assert np.array_equal(lists.built_master, u[search.master_nodes])
     return len(near)
 
 
-@pytest.mark.twin("search.build_candidates")
+@pytest.mark.twin("search.build_candidates", "search.listed", "search.place_ends")
 def test_candidates_are_the_segments_within_reach_and_skin():
     rng, found = np.random.default_rng(11), 0
     for _ in range(50):
