@@ -97,7 +97,7 @@ def client_of(crew: Crew, scratch: Path) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # dask listens there in any case; any free port
             memory_limit=0,
             silence_logs=logging.CRITICAL,
             local_directory=str(scratch),

@@ -20,7 +20,8 @@ OUTCOME = "outcome.json"
 RETRIES = 2
 """How often a case whose worker died is begun again."""
 DONE, STOPPED, FAILED, RUNNING, INTERRUPTED = "done", "stopped", "failed", "running", "interrupted"
-LOCK = ".lock"
+LOCK = ".case.lock"
+"""Beside the one of a run, which one on another machine may have left: this one the system gives back."""
 WAIT = 0.2
 """Between two looks at a folder that another process holds, s."""
 

@@ -11,11 +11,6 @@ from phantomnode.pipeline import one_case
 from phantomnode.pipeline.one_case import DONE, Order, Outcome
 
 
-def trivial(order: Order) -> Outcome:
-    """Nothing."""
-    return Outcome(DONE, "", {})
-
-
 def deadly(order: Order) -> Outcome:
     """Cases in a folder called bad kill their worker; others are done, later than a worker dies."""
 

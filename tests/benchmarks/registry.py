@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
+from .batches import batches
 from .blocks import general, growth, threads, uniform
 from .cutting import cutting, distance
 from .machine import ceilings
@@ -29,5 +30,6 @@ BENCHMARKS: dict[str, Benchmark] = {
         startup,
         ring_impact,
         wavy_block,
+        batches,
     )
 }
