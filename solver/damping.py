@@ -103,29 +103,32 @@ def add_hourglass_viscosity(elements: Elements, viscosity: Floats, v: Floats, fo
 
 
 @kernel
-def add_viscous_forces(model: Model, state: State) -> None:
-    """The viscous forces at the current displacement and the last velocity, added to the force."""
-    state.viscous[:] = 0.0
-    add_bulk_viscosity(model.damping.bulk, state.u, state.v, state.viscous)
-    add_hourglass_viscosity(model.elements, model.damping.hourglass, state.v, state.viscous)
-    for i in range(len(state.viscous)):
-        state.force[i, 0] += state.viscous[i, 0]
-        state.force[i, 1] += state.viscous[i, 1]
+def add_viscous_forces(
+    damping: Damping, elements: Elements, u: Floats, v: Floats, viscous: Floats, force: Floats
+) -> None:
+    """The viscous forces at the current displacement and the last velocity, kept and added to the force."""
+    viscous[:] = 0.0
+    add_bulk_viscosity(damping.bulk, u, v, viscous)
+    add_hourglass_viscosity(elements, damping.hourglass, v, viscous)
+    for i in range(len(viscous)):
+        force[i, 0] += viscous[i, 0]
+        force[i, 1] += viscous[i, 1]
 
 
 @kernel
-def damp(model: Model, state: State, kick: float, dt: float, increment: Floats) -> None:
+def damp(
+    alpha: float, mass: Floats, channel: Ints, state: State, kick: float, dt: float, increment: Floats
+) -> None:
     """Add the mass damping of the coming kick to the forces; book the energy that damping takes.
 
     With the mean velocity w of the kick, the force is -alpha m w, so that a = (F/m - alpha v)/(1 + alpha
     kick/2) where the motion is free; where it is prescribed, w is known.
     """
-    alpha, viscous = model.damping.mass, len(state.viscous) > 0
-    lost = 0.0
-    for i in range(len(model.mass)):
-        m = model.mass[i]
+    viscous, lost = len(state.viscous) > 0, 0.0
+    for i in range(len(mass)):
+        m = mass[i]
         for d in range(2):
-            v, c = state.v[i, d], model.channel[i, d]
+            v, c = state.v[i, d], channel[i, d]
             if c < 0:
                 mean = v + 0.5 * kick * (state.force[i, d] / m - alpha * v) / (1.0 + 0.5 * alpha * kick)
             else:

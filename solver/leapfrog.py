@@ -22,7 +22,7 @@ from phantomnode.solver.cut_elements import add_point_forces
 from phantomnode.solver.damping import add_viscous_forces, damp, is_viscous
 from phantomnode.solver.friction import add_friction_forces, friction_power, let_go
 from phantomnode.solver.layout import Held, Layout
-from phantomnode.solver.model import CutElements, Elements, Model, State
+from phantomnode.solver.model import Contact, CutElements, Elements, Model, State
 from phantomnode.solver.motion import move_nodes, reset
 from phantomnode.solver.q4 import smallest_jacobian
 from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
@@ -107,7 +107,7 @@ def evaluate_elements(model: Model, layout: Layout, state: State) -> int:
     add_loads(model.loads, state.value, model.x, state.u, state.force, state.applied, state.point_force)
     add_support_forces(model.supports, state.held, state.u, state.force, state.support)
     if len(state.viscous) > 0:
-        add_viscous_forces(model, state)
+        add_viscous_forces(model.damping, model.elements, state.u, state.v, state.viscous, state.force)
     if unsound == 0:
         return DONE
     state.smallest_j[0] = find_smallest_jacobian(model.elements, model.full, model.cut_elements, state.u)
@@ -132,23 +132,23 @@ def find_smallest_jacobian(elements: Elements, full: CutElements, cut: CutElemen
 
 
 @kernel
-def find_candidates(model: Model, state: State, search: Search) -> Candidates:
+def find_candidates(contact: Contact, search: Search, x: Floats, state: State) -> Candidates:
     """Candidate lists at the current displacement; points outside them are open."""
     for g in range(len(state.gap)):
         state.gap[g] = OPEN
-    candidates = build_candidates(model.contact, search, model.x, state.u)
+    candidates = build_candidates(contact, search, x, state.u)
     let_go(candidates, state)
     return candidates
 
 
 @kernel
-def evaluate_contact(model: Model, state: State, candidates: Candidates) -> None:
+def evaluate_contact(contact: Contact, candidates: Candidates, x: Floats, state: State) -> None:
     """Add the contact forces at the current displacement."""
     add_contact_forces(
-        model.contact, candidates, model.x, state.u, state.force, state.pair_force, state.gap, state.normal
+        contact, candidates, x, state.u, state.force, state.pair_force, state.gap, state.normal
     )
     if len(state.anchor) > 0:
-        add_friction_forces(model.contact, candidates, model.x, state)
+        add_friction_forces(contact, candidates, x, state)
     for k in range(len(state.pair_peak)):
         size = math.sqrt(state.pair_force[k, 0] ** 2 + state.pair_force[k, 1] ** 2)
         state.pair_peak[k] = max(state.pair_peak[k], size)
@@ -248,16 +248,16 @@ def advance(model: Model, layout: Layout, state: State, dt: float, increments: F
     int
         ``DONE``, ``INVERTED`` (some J <= 0) or ``NOT_FINITE``.
     """
-    candidates = find_candidates(model, state, layout.search)
+    candidates = find_candidates(model.contact, layout.search, model.x, state)
     if len(increments) == 0:
         reset(layout.load, state.force)
         status = evaluate_elements(model, layout, state)
-        evaluate_contact(model, state, candidates)
+        evaluate_contact(model.contact, candidates, model.x, state)
     damped = model.damping.mass > 0.0 or len(state.viscous) > 0
     for step in range(len(increments)):
         kick = 0.5 * dt if state.clock[1] == 0.0 else dt
         if damped:
-            damp(model, state, kick, dt, increments[step])
+            damp(model.damping.mass, model.mass, model.channel, state, kick, dt, increments[step])
         move(model, layout, state, kick, dt, increments[step])
         state.clock[1] += 1.0
         state.clock[0] = state.clock[1] * dt
@@ -267,8 +267,8 @@ def advance(model: Model, layout: Layout, state: State, dt: float, increments: F
         if status != DONE:
             return status
         if outdated(layout.search, candidates, state.u):
-            candidates = find_candidates(model, state, layout.search)
-        evaluate_contact(model, state, candidates)
+            candidates = find_candidates(model.contact, layout.search, model.x, state)
+        evaluate_contact(model.contact, candidates, model.x, state)
     find_accelerations(model.channel, layout.inverse_mass, state.force, state.a)
     state.smallest_j[0] = find_smallest_jacobian(model.elements, model.full, model.cut_elements, state.u)
     return status

@@ -120,7 +120,7 @@ def test_mass_damping_agrees_with_its_numpy_twin():
     after = (v * (1.0 - 350.0 * kick) + kick * before / m) / (1.0 + 350.0 * kick)
     mean = np.where(free, 0.5 * (v + after), 0.5 * (v + increment / dt))
     drag = -700.0 * m * mean
-    damp(model, state, kick, dt, np.array([increment]))
+    damp(700.0, model.mass, channel, state, kick, dt, np.array([increment]))
     np.testing.assert_allclose(state.force, before + drag, rtol=1e-13)
     np.testing.assert_allclose((v + kick * state.force / m)[free], after[free], rtol=1e-12)
     lost = -kick * np.sum((drag + state.viscous) * mean)

@@ -138,7 +138,8 @@ def test_forces_and_accelerations_of_a_step_agree_with_numpy():
     state.u[:] += 1e-3 * rng.uniform(-1, 1, velocity.shape)
     before = state.a.copy()
     assert evaluate_forces(model, layout, state) == DONE
-    evaluate_contact(model, state, find_candidates(model, state, layout.search))
+    candidates = find_candidates(model.contact, layout.search, model.x, state)
+    evaluate_contact(model.contact, candidates, model.x, state)
     find_accelerations(channel, layout.inverse_mass, state.force, state.a)
     inner, contact = twin_forces(model.elements, state.u), twin_contact(model.contact, model.x + state.u)[0]
     expected, scale = load + inner + contact, max(np.abs(inner).max(), np.abs(contact).max())
@@ -196,7 +197,7 @@ def test_what_is_found_anew_is_open_until_its_forces_are_known():
     layout = prepare_layout(model)
     state = initial_state(model, velocity, layout)
     state.gap[:] = 1.0
-    found = find_candidates(model, state, layout.search)
+    found = find_candidates(model.contact, layout.search, model.x, state)
     expected = build_candidates(model.contact, layout.search, model.x, state.u)
     count = expected.near_first[-1]
     assert found.near_first.tolist() == expected.near_first.tolist() and count > 0
@@ -290,7 +291,7 @@ def test_viscous_forces_are_the_sum_of_both_viscosities():
     expected = np.zeros_like(u)
     add_bulk_viscosity(model.damping.bulk, u, v, expected)
     add_hourglass_viscosity(model.elements, model.damping.hourglass, v, expected)
-    add_viscous_forces(model, state)
+    add_viscous_forces(model.damping, model.elements, state.u, state.v, state.viscous, state.force)
     scale = np.abs(expected).max()
     assert scale > 0.0
     np.testing.assert_allclose(state.viscous, expected, atol=1e-13 * scale, rtol=0)
