@@ -172,6 +172,13 @@ def _run(
         text, target = resolved_toml(points[place].case), str(folder / ledger.folders[place])
         orders.append(Order(text, target, points[place].hash, batch, hands.threads, tuple(command)))
     hands = hands._replace(workers=min(hands.workers, len(places)))
+    if console is not None:
+        who = (
+            f"workers of {hands.scheduler}" if hands.scheduler else f"{hands.workers} workers on this machine"
+        )
+        console.print(
+            f"{len(places)} of {len(points)} cases to run, on {who}", highlight=False, soft_wrap=True
+        )
     try:
         with (
             signals_interrupt(),

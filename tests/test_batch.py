@@ -108,7 +108,11 @@ def test_a_batch_from_the_command_line(sweep: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     done = command(sweep, "--out", out)
     assert done.returncode == 0, done.stderr
-    assert "4 of 4" in done.stdout and "4 done" in done.stdout
+    assert (
+        "4 of 4 cases to run, on " in done.stdout
+        and "\n4 of 4  speed=" in done.stdout
+        and "4 done" in done.stdout
+    )
     found = rows(out)
     assert [(row["speed"], row["cell"]) for row in found] == [
         ("-50.0", "0.05"), ("-50.0", "0.04"), ("-100.0", "0.05"), ("-100.0", "0.04"),
@@ -122,7 +126,7 @@ def test_a_batch_from_the_command_line(sweep: Path, tmp_path: Path) -> None:
 
     (out / found[0]["folder"]).rename(out / "another name")
     again = command(sweep, "--out", out, "--resume")
-    assert again.returncode == 0 and " of " not in again.stdout
+    assert again.returncode == 0 and "to run" not in again.stdout
     assert rows(out)[0]["folder"] == "another name"
     refused = command(sweep, "--out", out)
     assert refused.returncode == 2 and "holds a batch already; add --resume" in refused.stderr
