@@ -31,6 +31,9 @@ SHORTEST_ROW = 4
 ROUNDING = 16.0 * np.finfo(np.float64).eps
 """Constants that differ by no more than this part times x/h differ by the rounding of the positions x only."""
 
+CHUNK = 1 << 18
+"""Elements looked at together: what is needed in between stays small."""
+
 STRIPS, STRIP_ELEMENTS = 64, 2048
 """Most strips, and the least mean number of elements in one."""
 
@@ -148,28 +151,27 @@ def uncut_lists(elements: Elements, x: Floats) -> tuple[Rows, Scattered]:
     x : (n, 2) float64, metres
         Reference positions of the nodes.
     """
-    constants = element_constants(elements)
-    scale = _rounding(constants, x)
-    first, count = _rows(elements.nodes, constants, scale)
-    in_row = np.zeros(len(elements.volume) + 1, dtype=np.int64)
-    np.add.at(in_row, first, 1)
-    np.add.at(in_row, first + count, -1)
-    single = np.flatnonzero(np.cumsum(in_row)[:-1] == 0)
+    first, length = _rows(elements, x)
+    in_row = np.zeros(len(elements.volume) + 1, dtype=np.int8)
+    in_row[first] += 1
+    in_row[first + length] -= 1
+    single = np.flatnonzero(np.cumsum(in_row, dtype=np.int8)[:-1] == 0)
     bounds = _strips(elements.nodes, np.sort(np.concatenate([first, single])))
-    coarse = np.max(scale[:, first], axis=1, initial=0.0, keepdims=True)
-    whole = np.round(constants[:, first] / np.where(coarse > 0.0, coarse, 1.0))
+    constants, rounding = _with_rounding(elements, first, x)
+    coarse = np.max(rounding, axis=1, initial=0.0, keepdims=True)
+    whole = np.round(constants / np.where(coarse > 0.0, coarse, 1.0))
     _, kinds, kind = np.unique(whole, axis=1, return_index=True, return_inverse=True)
     rows = Rows(
         low=elements.nodes[first, 0],
         high=elements.nodes[first, 3],
-        length=count,
+        length=length,
         kind=kind.reshape(-1).astype(np.int64),
-        constants=np.ascontiguousarray(constants[:, first[kinds]].T),
+        constants=np.ascontiguousarray(constants[:, kinds].T),
         strip=np.searchsorted(first, bounds).astype(np.int64),
     )
     scattered = Scattered(
         nodes=elements.nodes[single].astype(np.uint32),
-        constants=np.ascontiguousarray(constants[:, single]),
+        constants=element_constants(Elements._make(field[single] for field in elements)),
         strip=np.searchsorted(single, bounds).astype(np.int64),
     )
     return rows, scattered
@@ -182,27 +184,47 @@ def scattered_lists(elements: Elements) -> tuple[Rows, Scattered]:
     return rows, Scattered(elements.nodes.astype(np.uint32), element_constants(elements), whole)
 
 
-def _rounding(constants: Floats, x: Floats) -> Floats:
-    """(9, m) What the rounding of the positions can make of the constants."""
+def _with_rounding(elements: Elements, which: Ints | slice, x: Floats) -> tuple[Floats, Floats]:
+    """(9, k) Constants of some elements, and what the rounding of the positions can make of them."""
+    constants = element_constants(Elements._make(field[which] for field in elements))
     steep = np.max(np.abs(constants[:4]), axis=0, initial=0.0)
     size = np.stack([*[steep] * 4, *[1.0 / steep] * 2, *np.abs(constants[6:])])
-    return np.asarray(ROUNDING * np.max(np.abs(x), initial=0.0) * steep * size)
+    return constants, np.asarray(ROUNDING * np.max(np.abs(x), initial=0.0) * steep * size)
 
 
-def _rows(nodes: Ints, constants: Floats, rounding: Floats) -> tuple[Ints, Ints]:
+def _rows(elements: Elements, x: Floats) -> tuple[Ints, Ints]:
     """First element and number of elements of each row."""
-    if len(nodes) == 0:
-        return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    onward = np.all(np.diff(nodes, axis=0) == 1, axis=1)
-    onward &= (nodes[1:, 0] == nodes[:-1, 1]) & (nodes[1:, 3] == nodes[:-1, 2])
-    onward &= np.all(np.abs(np.diff(constants, axis=1)) <= rounding[:, 1:], axis=0)
-    first = np.flatnonzero(np.concatenate([[True], ~onward]))
-    count = np.diff(np.append(first, len(nodes)))
-    # Small differences add up in a graded grid: all of a row must be like its first element.
-    begin = np.repeat(first, count)
-    unlike = np.any(np.abs(constants - constants[:, begin]) > rounding, axis=0)
-    kept = (count >= SHORTEST_ROW) & ~np.logical_or.reduceat(unlike, first)
-    return first[kept], count[kept]
+    m = len(elements.volume)
+    breaks = np.ones(m, dtype=bool)
+    for start in range(1, m, CHUNK):
+        stop = min(start + CHUNK, m)
+        nodes = elements.nodes[start - 1 : stop]
+        constants, rounding = _with_rounding(elements, slice(start - 1, stop), x)
+        onward = np.all(np.diff(nodes, axis=0) == 1, axis=1)
+        onward &= (nodes[1:, 0] == nodes[:-1, 1]) & (nodes[1:, 3] == nodes[:-1, 2])
+        onward &= np.all(np.abs(np.diff(constants, axis=1)) <= rounding[:, 1:], axis=0)
+        breaks[start:stop] = ~onward
+    first = np.flatnonzero(breaks)
+    length = np.diff(np.append(first, m))
+    first, length = first[length >= SHORTEST_ROW], length[length >= SHORTEST_ROW]
+    return _equal(elements, first, length, x)
+
+
+def _equal(elements: Elements, first: Ints, length: Ints, x: Floats) -> tuple[Ints, Ints]:
+    """The rows all of whose elements are like their first one: small differences add up in a graded grid."""
+    alike = np.ones(len(first), dtype=bool)
+    begin = 0
+    while begin < len(first):
+        end = max(begin + 1, int(np.searchsorted(np.cumsum(length[begin:]), CHUNK)) + begin)
+        members = np.concatenate(
+            [np.arange(a, a + n) for a, n in zip(first[begin:end], length[begin:end], strict=True)]
+        )
+        constants, rounding = _with_rounding(elements, members, x)
+        bounds = np.cumsum(length[begin:end]) - length[begin:end]
+        unlike = np.abs(constants - np.repeat(constants[:, bounds], length[begin:end], axis=1)) > rounding
+        alike[begin:end] = ~np.logical_or.reduceat(unlike.any(axis=0), bounds)
+        begin = end
+    return first[alike], length[alike]
 
 
 def _strips(nodes: Ints, units: Ints) -> Ints:
@@ -219,13 +241,14 @@ def _strips(nodes: Ints, units: Ints) -> Ints:
 
 def _apart(nodes: Ints, bounds: Ints) -> bool:
     """Whether no strip shares a node with any but its neighbours."""
-    strip = np.repeat(np.arange(len(bounds) - 1), np.diff(bounds))
-    lowest = np.full(int(nodes.max()) + 1, len(bounds))
-    highest = np.zeros(int(nodes.max()) + 1, dtype=np.int64)
-    for corner in nodes.T:
-        np.minimum.at(lowest, corner, strip)
-        np.maximum.at(highest, corner, strip)
-    return bool(np.all(highest - lowest <= 1))
+    earliest = np.full(int(nodes.max()) + 1, -1, dtype=np.int32)
+    for strip in range(len(bounds) - 1):
+        here = nodes[bounds[strip] : bounds[strip + 1]].ravel()
+        seen = earliest[here]
+        if np.any((seen >= 0) & (seen < strip - 1)):
+            return False
+        earliest[here[seen < 0]] = strip
+    return True
 
 
 def point_lists(points: CutElements) -> Points:
