@@ -211,6 +211,8 @@ def _mesh_outline(gmsh: Any) -> dict[str, Any]:
     _extent(np.vstack([piece["points"] for piece in pieces.values()]))
     for piece in pieces.values():
         piece["points"] = np.asarray(piece["points"])[:, :2].tolist()
+    # Where a loop begins depends on the mesh, not on the numbers in the file.
+    pieces = dict(sorted(pieces.items(), key=lambda item: (item[1]["points"], item[1]["name"])))
     return {**_split(pieces, uses, set()), "notes": []}
 
 

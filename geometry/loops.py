@@ -215,6 +215,7 @@ def _joined(chains: list[Curve], tolerance: float) -> tuple[list[Curve], float]:
     result = []
     used = np.zeros(len(chains), dtype=bool)
     free = [end for end in range(len(ends)) if end not in partner]
+    free.sort(key=lambda end: end % 2)  # an open chain runs as its pieces do, whatever their order
     for start in [*free, *range(0, len(ends), 2)]:
         if not used[start // 2]:
             result.append(_walk(chains, start, partner, place, corner, used))

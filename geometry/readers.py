@@ -13,6 +13,7 @@ import numpy as np
 from phantomnode.geometry.curves import Geometry
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.numbering import renumbered
 from phantomnode.geometry.scripts import cleaned, objection
 from phantomnode.geometry.units import chosen, iges_unit, metres, step_unit
 
@@ -110,12 +111,14 @@ def read_quads(
 ) -> BackgroundGrid:
     """Read an unstructured background grid: the four-node quadrilaterals of a gmsh mesh.
 
-    Cells are turned counter-clockwise; nodes that belong to none are left out.
+    Cells are turned counter-clockwise; nodes that belong to none are left out; the numbers are those of
+    :func:`phantomnode.geometry.numbering.renumbered`.
 
     Raises
     ------
     GeometryError
-        For a file that is no mesh, a mesh with triangles or other faces, folded cells, or no unit.
+        For a file that is no mesh, a mesh with triangles or other faces, folded cells, two nodes at one
+        place, or no unit.
     """
     from phantomnode.geometry.gmsh_reader import run_child
 
@@ -128,9 +131,7 @@ def read_quads(
         factor = metres(chosen(unit, None)[0])
         data = run_child("quads", file.content, ".msh", time_limit)
         xy = np.array(data["xy"], dtype=np.float64) * factor
-        quads = np.array(data["quads"], dtype=np.int64)
-        clockwise = BackgroundGrid(xy, quads).areas < 0.0
-        quads[clockwise] = quads[clockwise][:, ::-1]
+        xy, quads = renumbered(xy, np.array(data["quads"], dtype=np.int64))
         _check_convex(xy[quads])
     return BackgroundGrid(xy, quads)
 

@@ -56,6 +56,12 @@ def test_names_stay_with_their_pieces_and_name_the_chain_where_they_agree() -> N
     assert assemble([line((0, 0), (1, 0), name="crack")]).curves[0].name == "crack"
 
 
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_an_open_chain_runs_as_its_pieces_do_in_any_order(order: tuple[int, ...]) -> None:
+    (chain,) = assemble(sides(UNIT, order, ())).curves
+    assert chain.points.tolist() == [list(corner) for corner in UNIT]
+
+
 def test_nesting_alternates_between_material_and_hole() -> None:
     loops = [square(3, 4), square(0, 10), square(2, 5), square(1, 9), square(6, 7)]
     regions = sorted(assemble(loops).regions, key=lambda region: -region.area)
