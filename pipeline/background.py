@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from phantomnode.pipeline.observer import Ending, Observer
 
@@ -43,13 +43,17 @@ class Background:
 
     def frame(self, frame: Frame) -> None:
         """Have the observers look at a frame that is due; wait where too many are underway."""
+        self.do(lambda: self._show(frame))
+
+    def do(self, task: Callable[[], None]) -> None:
+        """Do something behind the frames that are underway; wait where too much is."""
         while self._underway and (len(self._underway) == WAITING or self._underway[0].done()):
             self._underway.popleft().result()
-        self._underway.append(self._thread.submit(self._look, self._show, frame))
+        self._underway.append(self._thread.submit(self._unless_failed, task))
 
     def finish(self, ending: Ending) -> None:
         """Have the observers look at the last state, and wait until all is done."""
-        self._underway.append(self._thread.submit(self._look, self._end, ending))
+        self._underway.append(self._thread.submit(self._unless_failed, lambda: self._end(ending)))
         while self._underway:
             self._underway.popleft().result()
         self.close()
@@ -58,12 +62,12 @@ class Background:
         """End the thread after what is underway, also after an error elsewhere; closing twice is fine."""
         self._thread.shutdown()
 
-    def _look(self, how: Callable[[Any], None], what: Frame | Ending) -> None:
+    def _unless_failed(self, task: Callable[[], None]) -> None:
         """In the thread: nothing is written after a frame that could not be."""
         if self._failed:
             return
         try:
-            how(what)
+            task()
         except BaseException:
             self._failed = True
             raise

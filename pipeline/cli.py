@@ -6,8 +6,11 @@ Everything heavy is imported inside the commands, so that ``--help`` answers at 
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -65,6 +68,29 @@ def run(
     overwrite: Annotated[
         bool, Parameter(negative=(), show_default=False, help="Write over a finished run in --out.")
     ] = False,
+    resume: Annotated[
+        bool,
+        Parameter(
+            negative=(),
+            show_default=False,
+            help="Go on where an unfinished run of this case stopped, to the same bits: in --out, in CASE where that "
+            "is the folder of a run, else in the last such folder of results/NAME, NAME-2, ...",
+        ),
+    ] = False,
+    checkpoint_every: Annotated[
+        str | None,
+        Parameter(
+            help='How often to write all that is needed to go on: "0.5 ms" of simulated time, "1000 steps", or wall '
+            'time as "10 min" or "30 s wall"; as the case says ("10 min") unless given. Two are kept.'
+        ),
+    ] = None,
+    wall_limit: Annotated[
+        str | None,
+        Parameter(
+            help='The time that a queue allows, as "23:50:00" or "2 h": the run ends before it with a checkpoint and '
+            "the exit code 130."
+        ),
+    ] = None,
     threads: Annotated[
         int,
         Parameter(
@@ -81,18 +107,30 @@ def run(
     phantomnode run ring_impact
     phantomnode run ring_impact --out fast --set "body.ring.initial_velocity=[0,-100]"
     phantomnode run my_case/case.toml --set time.end=0.002 --set time.step=1e-7
+    phantomnode run my_case --checkpoint-every "5 min" --wall-limit 11:50:00
+    phantomnode run results/my_case --resume
     ```
     """
 
     def command(console: Console) -> int:
-        from phantomnode.pipeline.case import find_case, load_case
+        from phantomnode.pipeline.case import CaseError, find_case, load_case
 
-        loaded = load_case(case, set_)
-        folder = results_folder(loaded, out, find_case(case), overwrite)
+        if resume and overwrite:
+            raise CaseError(
+                "--resume and --overwrite: one goes on with a run, the other starts again; take one"
+            )
+        loaded, source = load_case(case, set_), find_case(case)
+        if resume:
+            folder = folder_to_resume(loaded, out, source)
+        else:
+            folder = results_folder(loaded, out, source, overwrite)
         from phantomnode.pipeline.run import run_all  # the solver: only for a case that is sound
 
         line = ("phantomnode", *sys.argv[1:])
-        summaries = run_all(loaded, folder, console=console, command=line, threads=threads)
+        summaries = run_all(
+            loaded, folder, console=console, command=line, threads=threads, resume=resume,
+            checkpoint_every=checkpoint_every, wall_limit=wall_limit,
+        )  # fmt: skip
         codes = {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}
         return max(codes[summary.status] for summary in summaries)
 
@@ -303,23 +341,60 @@ def results_folder(case: Case, out: Path | None, source: Path, overwrite: bool =
         If ``out`` holds a finished run, the case file itself, or is no folder.
     """
     from phantomnode.pipeline.errors import CaseError
+    from phantomnode.pipeline.folder import holds_a_run, status_of
 
     if out is None:
-        number = 1
-        while (folder := RESULTS / (case.name if number == 1 else f"{case.name}-{number}")).is_dir():
-            if not (folder / "summary.json").exists():
-                break
-            number += 1
-        return folder
+        return next(folder for folder in _numbered(case) if not holds_a_run(folder))
     if out.exists() and not out.is_dir():
         raise CaseError(f"--out {out}: is a file; name a folder")
     if out.resolve() == source.resolve().parent:
         raise CaseError(
             f"--out {out}: holds the case file itself, which the results would replace; name another"
         )
-    if (out / "summary.json").exists() and not overwrite:
-        raise CaseError(f"--out {out}: holds a finished run; name another folder, or add --overwrite")
+    if holds_a_run(out) and not overwrite:
+        if status_of(out) in ("done", "stopped"):
+            raise CaseError(f"--out {out}: holds a finished run; name another folder, or add --overwrite")
+        raise CaseError(
+            f"--out {out}: holds a run that has not come to its end; add --resume to go on with it, "
+            "--overwrite to start again, or name another folder"
+        )
     return out
+
+
+def folder_to_resume(case: Case, out: Path | None, source: Path) -> Path:
+    """The folder of the run to go on with.
+
+    Parameters
+    ----------
+    case : Case
+    out : Path or None
+        The folder that was asked for; None for that of the case file where it is one of a run, else for the last
+        of results/NAME, NAME-2, ... in which a run has not come to its end.
+    source : Path
+        The case file.
+
+    Raises
+    ------
+    CaseError
+        If ``out`` is no folder.
+    """
+    from phantomnode.pipeline.errors import CaseError
+    from phantomnode.pipeline.folder import status_of
+
+    if out is not None:
+        if out.exists() and not out.is_dir():
+            raise CaseError(f"--out {out}: is a file; name a folder")
+        return out
+    if source.name == "case.toml" and (source.parent / "run.log").is_file():
+        return source.parent
+    there = list(takewhile(Path.is_dir, _numbered(case)))
+    unfinished = [folder for folder in there if status_of(folder) not in ("done", "stopped")]
+    return [RESULTS / case.name, *there, *unfinished][-1]
+
+
+def _numbered(case: Case) -> Iterator[Path]:
+    """results/NAME, results/NAME-2, ..."""
+    return (RESULTS / (case.name if number == 1 else f"{case.name}-{number}") for number in count(1))
 
 
 def _guarded(command: Callable[[Console], int]) -> int:
@@ -329,6 +404,7 @@ def _guarded(command: Callable[[Console], int]) -> int:
     from phantomnode.geometry.errors import GeometryError
     from phantomnode.pipeline.errors import CaseError
 
+    _let_terminate()
     try:
         return command(Console())
     except (CaseError, GeometryError, OSError) as error:
@@ -343,6 +419,12 @@ def _guarded(command: Callable[[Console], int]) -> int:
     except KeyboardInterrupt:
         Console(stderr=True).print("interrupted")
         return INTERRUPTED
+
+
+def _let_terminate() -> None:
+    """SIGTERM ends a command as Ctrl-C does; a run that is under way looks at both itself."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def main() -> None:

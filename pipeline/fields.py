@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
 from phantomnode.pipeline.clip import ClippedBodies
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.observer import Ending, Sampled
@@ -77,15 +78,28 @@ class Fields(Sampled):
         The results folder.
     steps : frozenset of int
         The steps to write.
+    saved : dict or None
+        Go on from what :meth:`saved` gave; the frames written since are removed.
+
+    Raises
+    ------
+    Damaged
+        Where a file is not what it was then.
     """
 
-    def __init__(self, prepared: Prepared, folder: Path, steps: frozenset[int]) -> None:
+    def __init__(
+        self, prepared: Prepared, folder: Path, steps: frozenset[int], saved: Tree | None = None
+    ) -> None:
         super().__init__(steps)
-        self._files: list[tuple[BodiesFile | ContactFile, Series]]
-        self._files = [(BodiesFile(prepared), Series(folder / "fields.pvd"))]
+        names = ("fields", "contact") if prepared.pairs else ("fields",)
+        series = [Series(folder / f"{name}.pvd", saved and saved[name]) for name in names]
+        self._files: list[tuple[BodiesFile | ContactFile, Series]] = [(BodiesFile(prepared), series[0])]
         if prepared.pairs:
-            self._files.append((ContactFile(prepared), Series(folder / "contact.pvd")))
+            self._files.append((ContactFile(prepared), series[1]))
         self.peak: Frame | None = None
+        if saved is not None:
+            self._seen = saved["seen"]
+            self.peak = frame_of(saved["peak"]) if saved["peak"] else None
 
     def take(self, frame: Frame) -> None:
         """Write one frame; remember the one with the largest internal energy for a picture."""
@@ -97,8 +111,24 @@ class Fields(Sampled):
     def finish(self, ending: Ending) -> None:
         """Write the last frame where it is not there yet; then all of them are on the disk."""
         super().finish(ending)
+        self.reach_disk()
+
+    def reach_disk(self) -> None:
+        """Wait until the disk holds all frames so far."""
         for _, series in self._files:
             series.reach_disk()
+
+    def digests(self) -> dict[Path, str]:
+        """SHA-256 of all frames so far."""
+        return {file: digest for _, series in self._files for file, digest in series.digests().items()}
+
+    def saved(self) -> Tree:
+        """What the files hold so far, and the frame for the picture."""
+        return {
+            "seen": self._seen,
+            "peak": {} if self.peak is None else frame_tree(self.peak, resumable=False),
+            **{series.path.stem: series.saved() for _, series in self._files},
+        }
 
 
 class BodiesFile:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from phantomnode.pipeline.boundaries import Boundary
+from phantomnode.pipeline.checkpoint import Damaged, Tree
 from phantomnode.pipeline.contacts import Pair
-from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.files import GrowingFile
 from phantomnode.pipeline.observer import Ending, Sampled
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 
@@ -38,23 +40,55 @@ class History(Sampled):
         The .csv file; replaced where it is there.
     steps : frozenset of int
         The steps to write.
+    saved : dict or None
+        Go on from what :meth:`saved` gave; the lines written since are dropped.
+
+    Raises
+    ------
+    Damaged
+        Where the file does not hold the lines that it held then.
     """
 
-    def __init__(self, prepared: Prepared, path: Path, steps: frozenset[int]) -> None:
+    def __init__(
+        self, prepared: Prepared, path: Path, steps: frozenset[int], saved: Tree | None = None
+    ) -> None:
         super().__init__(steps)
         self._prepared = prepared
-        write_atomically(path, ",".join(columns(prepared)) + "\n")
-        self._file: TextIO = path.open("a", encoding="utf-8", newline="")
+        if saved is None:
+            self._file = GrowingFile(path, f"{','.join(columns(prepared))}\n".encode())
+            return
+        self._seen = saved["seen"]
+        self._file = _continued(path, saved)
 
     def take(self, frame: Frame) -> None:
         """Write one line, and let it reach the file."""
-        self._file.write(",".join(repr(float(value)) for value in row(self._prepared, frame)) + "\n")
-        self._file.flush()
+        line = ",".join(repr(float(value)) for value in row(self._prepared, frame))
+        self._file.add(f"{line}\n".encode())
 
     def finish(self, ending: Ending) -> None:
-        """Write the last frame where it is not there yet, and close the file."""
+        """Write the last frame where it is not there yet; then all lines are on the disk."""
         super().finish(ending)
+        self._file.reach_disk()
+
+    def saved(self) -> Tree:
+        """What the file holds so far."""
+        return {"seen": self._seen, "size": self._file.size, "sha256": self._file.sha256}
+
+    def reach_disk(self) -> None:
+        """Wait until the disk holds the lines so far; may be called from another thread."""
+        self._file.reach_disk()
+
+    def close(self) -> None:
+        """Give the file back, also after an error; closing twice is fine."""
         self._file.close()
+
+
+def _continued(path: Path, saved: Tree) -> GrowingFile:
+    """The file with the lines that it held, and no others."""
+    content = path.read_bytes()[: saved["size"]] if path.is_file() else b""
+    if hashlib.sha256(content).hexdigest() != saved["sha256"]:
+        raise Damaged(f"{path} is missing, was cut short or changed since")
+    return GrowingFile(path, content, there=True)
 
 
 def columns(prepared: Prepared) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from phantomnode.pipeline.checkpoint import Tree
 from phantomnode.pipeline.clip import ClippedBodies
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import CellFields, cell_fields
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 TOUCH = 1e-6
 """Pieces of the line shorter than this part of it only touch a cell."""
+
+PLACE_COLUMNS = 3
+"""Columns of a profile's table that tell the place."""
 
 
 class Stations(NamedTuple):
@@ -98,9 +102,13 @@ class ProfileWriter(Sampled):
     line : Stations
     folder : Path
         The results folder.
+    saved : dict or None
+        Go on from what :meth:`saved` gave.
     """
 
-    def __init__(self, prepared: Prepared, name: str, line: Stations, folder: Path) -> None:
+    def __init__(
+        self, prepared: Prepared, name: str, line: Stations, folder: Path, saved: Tree | None = None
+    ) -> None:
         profile = prepared.case.output.profile[name]
         super().__init__(frozenset(profile_steps(prepared, profile)))
         self._prepared, self._line, self._quantity = prepared, line, profile.quantity
@@ -108,6 +116,12 @@ class ProfileWriter(Sampled):
         self._clipped = ClippedBodies.of(prepared)
         self._columns: dict[str, Floats] = {"distance": line.distance, "x": line.point[:, 0]}
         self._columns["y"] = line.point[:, 1]
+        if saved is not None:
+            self._seen = saved["seen"]
+            self._columns |= saved["columns"]
+            self._path.unlink(missing_ok=True)
+            if len(self._columns) > PLACE_COLUMNS:
+                self._write()
 
     def take(self, frame: Frame) -> None:
         """Add a column, where the frame is one of the profile's times, and write the file anew."""
@@ -115,6 +129,16 @@ class ProfileWriter(Sampled):
             return
         values = quantity(cell_fields(self._prepared, self._clipped, frame.u), self._quantity)
         self._columns[f"{self._quantity} at {frame.time!r} s"] = values[self._line.cell]
+        self._write()
+
+    def reach_disk(self) -> None:
+        """It does, with every column."""
+
+    def saved(self) -> Tree:
+        """The columns so far."""
+        return {"seen": self._seen, "columns": dict(self._columns)}
+
+    def _write(self) -> None:
         rows = zip(*(column.tolist() for column in self._columns.values()), strict=True)
         lines = [",".join(self._columns), *(",".join(map(repr, row)) for row in rows)]
         write_atomically(self._path, "\n".join(lines) + "\n")

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class LiveBar:
     """A bar with time, energies, energy error, contact force, steps a second and remaining time."""
 
-    def __init__(self, prepared: Prepared, steps: int, console: Console) -> None:
-        self._end, self._began = prepared.case.time.end, time.perf_counter()
+    def __init__(self, prepared: Prepared, steps: int, console: Console, first: int = 0) -> None:
+        self._end, self._began, self._first = prepared.case.time.end, time.perf_counter(), first
         self._bar = Progress(
             TextColumn("{task.fields[clock]}"),
             BarColumn(bar_width=24),
@@ -40,7 +40,7 @@ class LiveBar:
 
     def frame(self, frame: Frame) -> None:
         """Show the state."""
-        rate = frame.step / (time.perf_counter() - self._began)
+        rate = (frame.step - self._first) / (time.perf_counter() - self._began)
         clock = f"{frame.time * 1e3:.3f} of {self._end * 1e3:g} ms"
         state = f"{describe(frame)}  {rate:.0f} steps/s"
         self._bar.update(self._task, completed=frame.step, clock=clock, state=state)
@@ -79,9 +79,12 @@ class PlainLines:
         """Nothing to give back."""
 
 
-def watcher(prepared: Prepared, steps: int, console: Console) -> LiveBar | PlainLines:
+def watcher(
+    prepared: Prepared, steps: int, console: Console, resumed: Frame | None = None
+) -> LiveBar | PlainLines:
     """The progress observer that suits the console."""
-    return LiveBar(prepared, steps, console) if console.is_terminal else PlainLines(steps, console)
+    first = resumed.step if resumed is not None else 0
+    return LiveBar(prepared, steps, console, first) if console.is_terminal else PlainLines(steps, console)
 
 
 def describe(frame: Frame) -> str:

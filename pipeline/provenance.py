@@ -99,6 +99,9 @@ def write_case(case: Case, folder: Path) -> None:
         (folder / GEOMETRY).mkdir(exist_ok=True)
     for source, name in copies.items():
         write_atomically(folder / GEOMETRY / name, source.read_bytes())
+    for left in (folder / GEOMETRY).glob("*"):
+        if left.name not in copies.values() and left.is_file():
+            left.unlink()
     write_atomically(folder / "case.toml", toml_of(table))
 
 

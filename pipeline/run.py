@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-import shlex
-import signal
-import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType, TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phantomnode.pipeline.background import Background
+from phantomnode.pipeline.checkpoint import identity
+from phantomnode.pipeline.durations import parse_every, parse_limit
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.fields import Fields
 from phantomnode.pipeline.files import write_atomically
-from phantomnode.pipeline.history import History
+from phantomnode.pipeline.folder import cannot_write, finished_run, go_on_with, write_manifest
+from phantomnode.pipeline.keeper import Keeper
+from phantomnode.pipeline.lock import FolderLock
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
-from phantomnode.pipeline.preflight import report, steps_of, text_report
-from phantomnode.pipeline.profile import ProfileWriter, Stations, draw_profiles, profile_steps, stations
-from phantomnode.pipeline.provenance import GEOMETRY, case_hash, provenance, write_case
-from phantomnode.pipeline.summary import Clock, Summary, highlights, summarize, verdict
-from phantomnode.pipeline.tally import Tally
+from phantomnode.pipeline.preflight import report, steps_of
+from phantomnode.pipeline.profile import draw_profiles, profile_steps, stations
+from phantomnode.pipeline.provenance import case_hash, provenance
+from phantomnode.pipeline.runlog import RunLog
+from phantomnode.pipeline.start import Start, new_start, resumed_start
+from phantomnode.pipeline.stopping import Stopping, WallLimit
+from phantomnode.pipeline.summary import Clock, Summary, summarize, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,8 +35,8 @@ if TYPE_CHECKING:
     from phantomnode.pipeline.prepare import Prepared
     from phantomnode.solver.explicit import Frame
 
-RESULTS = ("summary.json", "history.csv", "fields.pvd", "contact.pvd", "run.log", "peak.png")
-FRAMES = ("fields/fields_*.vtu", "contact/contact_*.vtu", "profile.*", f"{GEOMETRY}/*")
+Value = TypeVar("Value")
+
 VARIANTS = "variants"
 """Folder, within the results of a case, of the results of its variants."""
 
@@ -46,12 +48,17 @@ def run(
     console: Console | None = None,
     command: Sequence[str] = (),
     threads: int = 1,
+    resume: bool = False,
+    checkpoint_every: str | None = None,
+    wall_limit: str | WallLimit | None = None,
+    main: Path | None = None,
 ) -> Summary:
     """Run a case into a folder.
 
     Nothing is written before the case is prepared, so a case at fault leaves no trace. Then every file is
-    complete at any time, and a run that a guard stops or that is interrupted (Ctrl-C, SIGTERM) leaves its
-    last state, its history and a summary that says so.
+    complete at any time, and a run that a guard stops or that is interrupted (Ctrl-C, SIGTERM, wall limit) leaves
+    its last state, its history, a summary that says so, and a checkpoint. Also after a crash it goes on from its
+    last checkpoint: history, fields and summary are those of a run without interruption, to the bit.
 
     Parameters
     ----------
@@ -64,6 +71,15 @@ def run(
         The command line, for run.log and summary.json.
     threads : int
         How many may take part in a step; small models keep to one. The results are the same, to the bit.
+    resume : bool
+        Go on from the last good checkpoint in the folder; from the start where there is none. A run that came to
+        its end is left as it is.
+    checkpoint_every : str, optional
+        How often to write a checkpoint, as "0.5 ms", "1000 steps" or "10 min"; as the case says unless given.
+    wall_limit : str or WallLimit, optional
+        When to end with a checkpoint, as "23:50:00" or "2 h" from now.
+    main : Path, optional
+        The folder to name in the advice to go on; ``out`` unless given.
 
     Returns
     -------
@@ -73,35 +89,58 @@ def run(
     Raises
     ------
     CaseError, GeometryError
-        Where the case, a geometry or the folder cannot be used.
-    OSError
-        Where a result cannot be written.
+        Where the case, a geometry or the folder cannot be used, or a checkpoint is of another case or version.
+    WriteError
+        Where a result cannot be written: an OSError that says what to do.
     """
     from phantomnode.pipeline.prepare import prepare
 
-    began, folder = time.perf_counter(), Path(out)
+    began, folder, notes = time.perf_counter(), Path(out), list[str]()
     _refuse_source_folder(case, folder)
     check_threads(threads)
+    every = _option("--checkpoint-every", parse_every, checkpoint_every or case.output.checkpoint.every)
+    limit = wall_limit_from(wall_limit, began)
+    if resume and (finished := finished_run(case, folder, notes)) is not None:
+        _tell(console, [f"finished already: {folder}"])
+        return finished
     prepared = prepare(case)
     lines, digest = stations(prepared), case_hash(case)
-    _make_folder(case, folder)
-    log = RunLog(folder / "run.log", prepared, command)
-    with ExitStack() as closing:
-        fields, observers, tally = _observers(prepared, lines, folder, console, closing)
-        ending, stepping = march(prepared, observers, threads)
-        for observer in observers:
-            observer.finish(ending)
-    clock = Clock(time.perf_counter() - began, stepping)
-    source = {"case_hash": digest, "provenance": provenance(command, threads)}
-    summary = summarize(prepared, tally, ending, clock, folder, source)
-    summary.write()
-    log.close(summary)
-    if fields.peak is not None:
-        from phantomnode.pipeline.preview import draw_result
-
-        draw_result(prepared, fields.peak, folder / "peak.png")
+    own = identity(digest, prepared.model)
+    source: dict[str, Any] = {"case_hash": digest, "provenance": provenance(command, threads)}
+    try:
+        _mkdir(folder)
+        with FolderLock(folder) as lock, Stopping(limit) as stopping, ExitStack() as closing:
+            if lock.taken_over:
+                notes.append(f"{folder}: the run before was killed; its folder is taken over")
+            start = (
+                resumed_start(prepared, lines, folder, own, notes)
+                if resume
+                else new_start(prepared, lines, folder)
+            )
+            closing.callback(start.history.close)
+            _tell(console, notes)
+            log = RunLog(folder / "run.log", prepared, command, notes, start.frame)
+            background = Background([start.fields, *start.profiles.values()])
+            closing.callback(background.close)
+            keeper = Keeper(folder, own, every, start, background, stopping, began)
+            observers: list[Observer] = [start.tally, start.history, background]
+            observers += _progress(prepared, console, start, closing)
+            ending, stepping = march(prepared, observers, threads, start.frame, stopping, keeper)
+            if ending.status == "interrupted":
+                ending = ending._replace(advice=go_on_with(main or folder))
+            for observer in observers:
+                observer.finish(ending)
+            wall = start.past.wall + time.perf_counter() - began
+            clock = Clock(wall, start.past.steps + stepping)
+            source["resumed_at"] = list(start.past.resumed_at)
+            summary = summarize(prepared, start.tally, ending, clock, folder, source)
+            _finish(prepared, start, summary, log)
+    except OSError as error:
+        raise cannot_write(error, folder, main or folder) from error
     if console is not None:
         console.print(verdict(summary))
+        if ending.status == "interrupted":
+            _tell(console, [ending.advice])
     return summary
 
 
@@ -112,6 +151,9 @@ def run_all(
     console: Console | None = None,
     command: Sequence[str] = (),
     threads: int = 1,
+    resume: bool = False,
+    checkpoint_every: str | None = None,
+    wall_limit: str | None = None,
 ) -> list[Summary]:
     """Run a case and its variants, and draw their profiles over each other.
 
@@ -127,16 +169,21 @@ def run_all(
 
     folder = Path(out)
     label = case.method if case.method not in case.variant else case.name
-    runs: dict[str, Path] = {label: folder}
-    summaries = [run(case, folder, console=console, command=command, threads=threads)]
-    for name, variant in variants(case).items():
-        if summaries[-1].status == "interrupted":
+    cases = {label: (case, folder)}
+    cases |= {name: (variant, folder / VARIANTS / name) for name, variant in variants(case).items()}
+    limit = wall_limit_from(wall_limit, time.perf_counter())
+    runs: dict[str, Path] = {}
+    summaries: list[Summary] = []
+    for name, (one, place) in cases.items():
+        runs[name] = place
+        summary = run(
+            one, place, console=console, command=command, threads=threads, resume=resume,
+            checkpoint_every=checkpoint_every, wall_limit=limit, main=folder,
+        )  # fmt: skip
+        summaries.append(summary)
+        if summary.status == "interrupted":
             break
-        runs[name] = folder / VARIANTS / name
-        summaries.append(run(variant, runs[name], console=console, command=command, threads=threads))
-    for picture in draw_profiles(runs, folder):
-        if console is not None:
-            console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
+    _tell(console, [f"picture   {picture}" for picture in draw_profiles(runs, folder)])
     return summaries
 
 
@@ -189,153 +236,127 @@ def check_threads(threads: int) -> None:
         )
 
 
-def march(prepared: Prepared, observers: Sequence[Observer], threads: int = 1) -> tuple[Ending, float]:
+def wall_limit_from(limit: str | WallLimit | None, began: float) -> WallLimit | None:
+    """A wall limit as the user wrote it, from a reading of ``time.perf_counter`` on.
+
+    Raises
+    ------
+    CaseError
+        Where it is no time.
+    """
+    if isinstance(limit, str):
+        return WallLimit(_option("--wall-limit", parse_limit, limit), began)
+    return limit
+
+
+def march(
+    prepared: Prepared,
+    observers: Sequence[Observer],
+    threads: int = 1,
+    resume: Frame | None = None,
+    stopping: Stopping | None = None,
+    keeper: Keeper | None = None,
+) -> tuple[Ending, float]:
     """Take all steps and show the observers the frames that they want.
 
     Returns how it ended and the wall time of the steps alone, s.
     """
-    from phantomnode.solver import explicit, xfem
+    from phantomnode.solver.explicit import RunStopped
 
-    case, steps = prepared.case, steps_of(prepared)
-    output = case.output
-    samples = sample_steps(steps, output.history.count) | sample_steps(steps, output.fields.count)
-    samples |= {step for profile in output.profile.values() for step in profile_steps(prepared, profile)}
-    guard, at = case.guard.energy_error, np.array(sorted(samples), dtype=np.int64)
-    arguments = prepared.velocity, prepared.dt, at, prepared.motion, guard
-    if prepared.xfem is None:
-        stream = explicit.frames(prepared.model, *arguments, threads=threads)
-    else:
-        stream = xfem.frames(prepared.model, prepared.xfem, *arguments)
-    last: Frame | None = None
-    stepping = 0.0
-    with Interruption() as interruption:
-        try:
-            while True:
-                began = time.perf_counter()
-                frame = next(stream, None)
-                stepping += time.perf_counter() - began
-                if frame is None:
-                    return Ending("done", "", "", last), stepping
-                last = frame
+    stopping = stopping or Stopping()
+    steps, samples, last, stepping = steps_of(prepared), sampled(prepared), resume, 0.0
+    stream = frames_of(prepared, np.array(sorted(samples)), threads, resume, stopping)
+    try:
+        while True:
+            began = time.perf_counter()
+            frame = next(stream, None)
+            stepping += time.perf_counter() - began
+            if frame is None:
+                break
+            last = frame
+            stopping.moved()
+            if frame.step in samples:
                 for observer in observers:
                     if observer.due(frame.step):
                         observer.frame(frame)
-                if interruption.asked and frame.step < steps:
-                    return _interrupted(last), stepping
-        except explicit.RunStopped as stop:
-            return Ending("stopped", stop.reason, stop.advice, stop.last_good), stepping
-        except KeyboardInterrupt:
-            return _interrupted(last), stepping
+            if keeper is not None:
+                keeper.look(frame, stepping)
+    except RunStopped as stop:
+        return Ending("stopped", stop.reason, stop.advice, stop.last_good), stepping
+    except KeyboardInterrupt:  # a second signal
+        return Ending("interrupted", stopping.reason(), "", last), stepping
+    if last is not None and last.step == steps:
+        return Ending("done", "", "", last), stepping
+    if keeper is not None and last is not None:
+        keeper.write(last, stepping)
+    return Ending("interrupted", stopping.reason(), "", last), stepping
 
 
-class Interruption:
-    """Ctrl-C and SIGTERM end a run between two frames, with its files complete; a second one at once.
+def frames_of(
+    prepared: Prepared, at: NDArray[np.int64], threads: int, resume: Frame | None, stopping: Stopping
+) -> Iterator[Frame]:
+    """The frames of a run at the given steps, and those between from which it could go on."""
+    from phantomnode.solver import explicit, xfem
 
-    Python takes signals in the main thread only; in another one this does nothing.
-    """
-
-    def __init__(self) -> None:
-        self.asked = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Interruption:
-        if threading.current_thread() is threading.main_thread():
-            self._before = {
-                number: signal.signal(number, self._ask) for number in (signal.SIGINT, signal.SIGTERM)
-            }
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _ask(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
-            raise KeyboardInterrupt
-        self.asked = True
+    velocity, motion, guard = prepared.velocity, prepared.motion, prepared.case.guard.energy_error
+    arguments = velocity, prepared.dt, at, motion, guard, resume
+    if prepared.xfem is not None:
+        return xfem.frames(prepared.model, prepared.xfem, *arguments, looks=True, ended=stopping.asked)
+    return explicit.frames(prepared.model, *arguments, threads, looks=True, ended=stopping.asked)
 
 
-class RunLog:
-    """run.log: what was run, what it became, what was said on the way, how it ended."""
-
-    def __init__(self, path: Path, prepared: Prepared, command: Sequence[str]) -> None:
-        from phantomnode import __version__
-
-        self._path = path
-        relocated = [f"{body.name}: {body.relocated} grid nodes relocated" for body in prepared.bodies]
-        self._lines = [
-            f"phantomnode {__version__}",
-            *([f"command: {shlex.join(command)}"] if command else []),
-            f"case: {prepared.case.name}: {prepared.case.title}".rstrip(": "),
-            "",
-            *(line.rstrip() for line in text_report(prepared).splitlines()),
-            *relocated,
-            "",
-        ]
-        self._write()
-
-    def close(self, summary: Summary) -> None:
-        """Add how the run ended."""
-        figures = summary.figures
-        self._lines.append(f"status: {summary.status}")
-        self._lines += [text for text in (figures["reason"], figures["advice"]) if text]
-        for item in summary.checks:
-            word = "PASS" if item.passed else f"WARN ({item.advice})"
-            self._lines.append(f"{item.name}: {item.value:.3g} (limit {item.limit:g}) {word}")
-        self._lines += highlights(figures)
-        self._write()
-
-    def _write(self) -> None:
-        write_atomically(self._path, "\n".join(self._lines) + "\n")
-
-
-def _observers(
-    prepared: Prepared,
-    lines: Mapping[str, Stations],
-    folder: Path,
-    console: Console | None,
-    closing: ExitStack,
-) -> tuple[Fields, list[Observer], Tally]:
-    """Everything that looks at the run; the tally first, so that it is complete whatever follows."""
+def sampled(prepared: Prepared) -> frozenset[int]:
+    """The steps that some output shows."""
     steps, output = steps_of(prepared), prepared.case.output
-    tally = Tally(prepared)
-    fields = Fields(prepared, folder, sample_steps(steps, output.fields.count))
-    history = History(prepared, folder / "history.csv", sample_steps(steps, output.history.count))
-    profiles = [ProfileWriter(prepared, name, line, folder) for name, line in lines.items()]
-    writing = Background([fields, *profiles])
-    closing.callback(writing.close)
-    observers: list[Observer] = [tally, history, writing]
+    samples = sample_steps(steps, output.history.count) | sample_steps(steps, output.fields.count)
+    return samples | {
+        step for profile in output.profile.values() for step in profile_steps(prepared, profile)
+    }
+
+
+def _finish(prepared: Prepared, start: Start, summary: Summary, log: RunLog) -> None:
+    """Write what tells of the end of a run; the manifest last: then all of it is there."""
+    folder = summary.path
+    log.close(summary)
+    if start.fields.peak is not None:
+        from phantomnode.pipeline.preview import draw_result
+
+        draw_result(prepared, start.fields.peak, folder / "peak.png")
+    summary.write()
+    write_manifest(folder, start.fields.digests())
+
+
+def _progress(
+    prepared: Prepared, console: Console | None, start: Start, closing: ExitStack
+) -> list[Observer]:
+    """The progress bar, where there is somebody to see it."""
+    if console is None:
+        return []
+    from phantomnode.pipeline.progress import watcher
+
+    progress = watcher(prepared, steps_of(prepared), console, start.frame)
+    closing.callback(progress.close)
+    return [progress]
+
+
+def _tell(console: Console | None, lines: Sequence[str]) -> None:
     if console is not None:
-        from phantomnode.pipeline.progress import watcher
-
-        progress = watcher(prepared, steps, console)
-        closing.callback(progress.close)
-        observers.append(progress)
-    return fields, observers, tally
+        for line in lines:
+            console.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
-def _interrupted(last: Frame | None) -> Ending:
-    """The ending of a run that the user or the system cut short."""
-    return Ending("interrupted", "a signal asked the run to end", "the state so far is written", last)
+def _option(name: str, parse: Callable[[str], Value], text: str) -> Value:
+    """The value of an option; what is wrong with it is told with its name."""
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise CaseError(f"{name}: {error}") from error
 
 
 def _refuse_source_folder(case: Case, folder: Path) -> None:
     """The resolved case must not overwrite the case file that it came from."""
     if folder.resolve() == case.folder.resolve():
         raise CaseError(f"{folder}: the results cannot go into the case's own folder; choose another one")
-
-
-def _make_folder(case: Case, folder: Path) -> None:
-    """An empty results folder with the resolved case in it."""
-    _mkdir(folder)
-    for name in RESULTS:
-        (folder / name).unlink(missing_ok=True)
-    for pattern in FRAMES:
-        for frame in folder.glob(pattern):
-            frame.unlink()
-    write_case(case, folder)
 
 
 def _mkdir(folder: Path) -> None:

@@ -8,10 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, model_validator
 
 from phantomnode.pipeline.boundary_tables import Boundary, Directions, TimeValue
 from phantomnode.pipeline.contact_tables import Contact
+from phantomnode.pipeline.durations import EVERY, parse_every
 from phantomnode.pipeline.shapes import (
     BodyGeometry,
     CartesianGrid,
@@ -222,12 +223,27 @@ class Profile(Table):
         return self
 
 
+def _interval(text: str) -> str:
+    """The text itself, where it is an interval."""
+    parse_every(text)
+    return text
+
+
+class Checkpoint(Table):
+    """How often a run writes all that it needs to go on, so that it loses no more when it is killed."""
+
+    every: Annotated[str, AfterValidator(_interval)] = Field(
+        default="10 min", description=f"{EVERY}; the two last are kept"
+    )
+
+
 class Output(Table):
     """What to write."""
 
     fields: Frames = Field(default=Frames(count=60), description="fields for ParaView")
     history: Frames = Field(default=Frames(count=2000), description="rows of history.csv")
     profile: dict[Name, Profile] = Field(default={}, description="quantities along lines, at some times")
+    checkpoint: Checkpoint = Field(default=Checkpoint(), description='{ every = "10 min" }')
 
 
 class Case(Table):

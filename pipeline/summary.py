@@ -260,7 +260,8 @@ def verdict(summary: Summary) -> RenderableType:
     lines += [Text(f"  {check.name}: {check.advice}") for check in summary.checks if not check.passed]
     if figures["reason"]:
         lines += [Text(f"{summary.status}: {figures['reason']}", "bold red")]
-        lines += [Text(figures["advice"])] if figures["advice"] else []
+        # The command that goes on with a run is printed below, in one line, to be copied.
+        lines += [Text(figures["advice"])] if summary.status == "stopped" else []
     lines += [Text(line) for line in highlights(figures)]
     lines += [Text(f"results   {summary.path}"), Text(f"look at   paraview {summary.path / 'fields.pvd'}")]
     title = "can be trusted" if summary.trusted else "look before you trust it"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
 from phantomnode.pipeline.history import boundary_force, centre
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
 REST = 1e-9
 """A change of momentum below this times m |v|_max is none: rounding over 1e5 steps leaves about 1e-11."""
 
+EXTREMES = (
+    "largest_energy", "hourglass_max", "internal_max", "alpha_energy_max", "speed_max", "smallest_j", "stable_step",
+)  # fmt: skip
+"""Attributes of the tally that are single numbers."""
 
 NO_FORCE = 1e-9
 """Of the largest force of a pair: below it surfaces that only touch press each other by rounding."""
@@ -88,6 +93,28 @@ class Tally:
             self.penetration[k] = max(self.penetration[k], deepest)
         self._times.append(frame.time)
         self._forces.append(np.hypot(*frame.pair_force.T))
+
+    def saved(self) -> Tree:
+        """All that was kept so far; what is given does not change any more."""
+        kept = {name: getattr(self, name) for name in (*EXTREMES, "_unbalanced")}
+        return {
+            **kept,
+            "peak_reaction": self.peak_reaction.copy(),
+            "penetration": self.penetration.copy(),
+            "times": list(self._times),
+            "forces": np.array(self._forces).reshape(len(self._times), -1),
+            "first": {} if self.first is None else frame_tree(self.first, resumable=False),
+            "last": {} if self.last is None else frame_tree(self.last, resumable=False),
+        }
+
+    def restore(self, saved: Tree) -> None:
+        """Go on from what :meth:`saved` gave."""
+        for name in (*EXTREMES, "_unbalanced", "peak_reaction", "penetration"):
+            setattr(self, name, saved[name])
+        self._times = list(saved["times"])
+        self._forces = list(saved["forces"])
+        self.first = frame_of(saved["first"]) if saved["first"] else None
+        self.last = frame_of(saved["last"]) if saved["last"] else None
 
     def finish(self, ending: Ending) -> None:
         """Add the last good frame of a run that was stopped between samples."""

@@ -9,6 +9,7 @@ from frame to frame is encoded once (:func:`data_array`, :func:`cells`).
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from base64 import b64encode
 from collections.abc import Mapping
@@ -20,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.files import reach_disk, write_atomically
+from phantomnode.pipeline.checkpoint import Damaged, Tree
+from phantomnode.pipeline.files import reach_disk, sha256_of, write_atomically
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -138,29 +140,34 @@ class Series:
     ----------
     path : Path
         The .pvd file; its frames go to the folder beside it that has its name without the ending.
+    saved : dict or None
+        Go on from what :meth:`saved` gave; the frames written since are removed.
+
+    Raises
+    ------
+    Damaged
+        Where a frame is not what it was then.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, saved: Tree | None = None) -> None:
         self.path = path
         self.folder = path.with_suffix("")
         self.folder.mkdir(exist_ok=True)
-        self._entries: list[str] = []
+        self._times: list[float] = []
+        self._digests: list[str] = []
         self._in_memory: list[Path] = []
         self._waited = monotonic()
+        if saved is not None:
+            self._restore(saved)
 
     def add(self, time: float, content: bytes) -> Path:
         """Write the next frame (the bytes of a .vtu) at a time in seconds, then the .pvd anew."""
-        frame = self.folder / f"{self.path.stem}_{len(self._entries):05d}.vtu"
+        frame = self._frame(len(self._times))
         write_atomically(frame, content, durable=False)
-        name = escape(f"{self.folder.name}/{frame.name}")
-        self._entries.append(f'    <DataSet timestep="{time!r}" group="" part="0" file="{name}"/>\n')
-        write_atomically(
-            self.path,
-            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
-            "  <Collection>\n" + "".join(self._entries) + "  </Collection>\n</VTKFile>\n",
-            durable=False,
-        )
         self._in_memory.append(frame)
+        self._times.append(time)
+        self._digests.append(hashlib.sha256(content).hexdigest())
+        self._write_index()
         if monotonic() > self._waited + 1.0:
             self.reach_disk()
         return frame
@@ -172,3 +179,40 @@ class Series:
                 reach_disk(file)
         self._in_memory.clear()
         self._waited = monotonic()
+
+    def saved(self) -> Tree:
+        """What the series holds so far."""
+        return {"times": list(self._times), "sha256": list(self._digests)}
+
+    def digests(self) -> dict[Path, str]:
+        """SHA-256 of the frames so far."""
+        return {self._frame(number): digest for number, digest in enumerate(self._digests)}
+
+    def _restore(self, saved: Tree) -> None:
+        for number, digest in enumerate(saved["sha256"]):
+            frame = self._frame(number)
+            if not frame.is_file() or sha256_of(frame) != digest:
+                raise Damaged(f"{frame} is missing or was changed since")
+        self._times, self._digests = list(saved["times"]), list(saved["sha256"])
+        self._write_index()  # before the frames go that it must not name any more
+        self._in_memory.append(self.path)
+        kept = {self._frame(number) for number in range(len(self._times))}
+        for frame in self.folder.glob(f"{self.path.stem}_*.vtu"):
+            if frame not in kept:
+                frame.unlink()
+
+    def _frame(self, number: int) -> Path:
+        return self.folder / f"{self.path.stem}_{number:05d}.vtu"
+
+    def _write_index(self) -> None:
+        entries = (
+            f'    <DataSet timestep="{time!r}" group="" part="0" '
+            f'file="{escape(f"{self.folder.name}/{self._frame(number).name}")}"/>\n'
+            for number, time in enumerate(self._times)
+        )
+        write_atomically(
+            self.path,
+            '<?xml version="1.0"?>\n<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">\n'
+            "  <Collection>\n" + "".join(entries) + "  </Collection>\n</VTKFile>\n",
+            durable=False,
+        )

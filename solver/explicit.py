@@ -6,7 +6,7 @@ are completed to the same time with the last known acceleration of the prescribe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from phantomnode.solver.contact import contact_energy
 from phantomnode.solver.cut_elements import cut_energy
 from phantomnode.solver.damping import damping_force, dissipated, velocity
-from phantomnode.solver.layout import prepare_layout
+from phantomnode.solver.layout import Layout, prepare_layout
 from phantomnode.solver.leapfrog import DONE, advance, initial_state
 from phantomnode.solver.model import NONE, NOWHERE, Energies, Model, State
 from phantomnode.solver.q4 import element_energies
@@ -30,8 +30,11 @@ SETTLED = 64
 """From this step on the energy error is held against the guard. A load that sets in at once excites the
 fastest waves first; at the usual step they make a tenth of the little energy of the first steps oscillate."""
 
-CHUNK = 4096
-"""Most steps between two looks at the guards and at the keyboard."""
+LOOK_STEPS, LOOK_WORK = (64, 4096), 200_000_000
+"""Fewest and most steps between two looks at the guards, and the steps times elements between: some seconds."""
+
+ASK_WORK = 8_000_000
+"""Steps times elements between two questions whether to end: a fraction of a second."""
 
 
 class Motion(Protocol):
@@ -184,7 +187,26 @@ def _frame(model: Model, state: State, dt: float, before: Frame | None) -> Frame
 
 def copied(state: State) -> State:
     """A state of its own, in the order of memory that the kernels are compiled for."""
-    return State(**{name: np.array(field, order="F") for name, field in state._asdict().items()})
+    return State(
+        **{
+            name: np.array(field, order="F" if name in ("u", "v", "a", "force") else "C")
+            for name, field in state._asdict().items()
+        }
+    )
+
+
+def go_on() -> bool:
+    """Nobody asks the run to end."""
+    return False
+
+
+def look_steps(model: Model) -> int:
+    """Most steps between two looks at the guards; it depends on nothing but the size of the model."""
+    return int(np.clip(LOOK_WORK // _elements(model), *LOOK_STEPS))
+
+
+def _elements(model: Model) -> int:
+    return max(1, len(model.elements.volume) + len(model.cut_elements.lame))
 
 
 def frames(
@@ -196,6 +218,8 @@ def frames(
     guard: float,
     resume: Frame | None = None,
     threads: int = 1,
+    looks: bool = False,
+    ended: Callable[[], bool] = go_on,
 ) -> Iterator[Frame]:
     """Run a model and yield its frames.
 
@@ -217,6 +241,11 @@ def frames(
         interruption.
     threads : int
         How many may take part; small models keep to one. The result is the same, to the bit.
+    looks : bool
+        Yield also the frames between, at most :func:`look_steps` apart, at which the guards are looked at. A run
+        can be resumed from them as from those that are due.
+    ended : callable
+        Asked a few times a second; where it says so, no more frame comes.
 
     Raises
     ------
@@ -237,18 +266,41 @@ def frames(
             yield last
     else:
         state, last = copied(resume.state), resume
-    for target in due[due > last.step]:
-        done = last.step
-        while done < target:
-            steps = min(CHUNK, int(target) - done)
-            if advance(model, layout, state, dt, _table(model, motion, done, steps, dt)) != DONE:
-                raise broken(model, state, last)
-            done += steps
+    longest = look_steps(model)
+    for target in due[due > last.step].tolist():
+        while last.step < target:
+            step = min(last.step + longest, target)
+            if not _reach(model, layout, state, dt, motion, step, last, ended):
+                return
             frame = _frame(model, state, dt, last)
             if frame.step >= SETTLED and not frame.energy_error <= guard:
                 raise unbalanced(frame, guard, last)
             last = frame
+            if looks and step < target:
+                yield last
         yield last
+
+
+def _reach(
+    model: Model,
+    layout: Layout,
+    state: State,
+    dt: float,
+    motion: Motion,
+    step: int,
+    last: Frame,
+    ended: Callable[[], bool],
+) -> bool:
+    """Advance to a step, unless the run is to end before; how the steps are divided changes no bit."""
+    stride, done = max(1, ASK_WORK // _elements(model)), last.step
+    while done < step:
+        if ended():
+            return False
+        steps = min(stride, step - done)
+        if advance(model, layout, state, dt, _table(model, motion, done, steps, dt)) != DONE:
+            raise broken(model, state, last)
+        done += steps
+    return True
 
 
 def _table(model: Model, motion: Motion, done: int, steps: int, dt: float) -> Floats:

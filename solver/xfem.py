@@ -10,14 +10,14 @@ of the copies here, too, and only the mass matrix, by way of :class:`Inertia`, k
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.solver.cut_elements import cut_energy
-from phantomnode.solver.explicit import Frame, Motion, broken, copied, unbalanced
+from phantomnode.solver.explicit import Frame, Motion, broken, copied, go_on, unbalanced
 from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import DONE, evaluate_forces, find_smallest_jacobian, initial_state
 from phantomnode.solver.model import Energies, Model, State
@@ -99,6 +99,9 @@ def frames(
     steps_at: Ints | Sequence[int],
     motion: Motion,
     guard: float,
+    resume: Frame | None = None,
+    looks: bool = False,
+    ended: Callable[[], bool] = go_on,
 ) -> Iterator[Frame]:
     """Run a model with a mass matrix of its own and yield its frames.
 
@@ -111,7 +114,7 @@ def frames(
     model : Model
         Without contact. Its nodes are the copies; its ``mass`` serves the output only.
     inertia : Inertia
-    velocity, dt, steps_at, motion, guard
+    velocity, dt, steps_at, motion, guard, resume, looks, ended
         As for :func:`phantomnode.solver.explicit.frames`.
 
     Raises
@@ -125,17 +128,21 @@ def frames(
     # Nodal masses tell momentum only here and may vanish (shifted enrichment): they move nothing.
     unit = model._replace(mass=np.ones(len(model.x)))
     layout = prepare_layout(model)
-    state = initial_state(unit, start, layout)
-    last = None
-    for step in range(int(due[-1]) + 1):
+    state, last = (
+        (initial_state(unit, start, layout), None) if resume is None else (copied(resume.state), resume)
+    )
+    done = -1 if resume is None else resume.step
+    for step in range(max(done, 0), int(due[-1]) + 1):
+        if last is not None and ended():
+            return
         increment = motion.increments(step, 1, dt)[0]
         reaction = _accelerate(model, inertia, state, increment / dt, dt)
-        if step in due or step % SETTLED == 0:
+        if step > done and (step in due or step % SETTLED == 0):
             frame = _frame(model, inertia, state, reaction, dt, last)
             if frame.step >= SETTLED and not frame.energy_error <= guard:
                 raise unbalanced(frame, guard, last or frame)
             last = frame
-            if step in due:
+            if looks or step in due:
                 yield frame
         if step < due[-1]:
             _move(model, state, reaction, increment, dt)

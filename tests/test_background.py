@@ -13,8 +13,8 @@ from numba import config
 
 from phantomnode.pipeline.background import WAITING, Background
 from phantomnode.pipeline.observer import Ending, Sampled
+from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import advance, initial_state
-from phantomnode.solver.search import prepare_search
 
 
 class Notes(Sampled):
@@ -105,10 +105,10 @@ def test_the_compiled_loop_runs_without_pythons_lock(handmade):
     """With hand-overs of the lock put off for good, another thread counts only where the loop lets it go."""
     if config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
-    model, search = handmade.model, prepare_search(handmade.model.contact)
-    state = initial_state(model, handmade.velocity, search)
+    model, layout = handmade.model, prepare_layout(handmade.model)
+    state = initial_state(model, handmade.velocity, layout)
     increments = np.zeros((20_000, model.channels))
-    advance(model, state, search, 1e-9, increments[:1])  # compiled
+    advance(model, layout, state, 1e-9, increments[:1])  # compiled
     counted, stop, interval = [0], threading.Event(), sys.getswitchinterval()
 
     def count():
@@ -123,7 +123,7 @@ def test_the_compiled_loop_runs_without_pythons_lock(handmade):
         during = []
         for _ in range(10):
             before = counted[0]
-            advance(model, state, search, 1e-9, increments)
+            advance(model, layout, state, 1e-9, increments)
             during.append(counted[0] - before)
     finally:
         sys.setswitchinterval(interval)

@@ -122,7 +122,7 @@ def contents(out: Path) -> dict[str, object]:
             found[name] = {key: value for key, value in figures.items() if key not in CLOCKS}
         elif file.name == "outcome.json":
             found[name] = json.loads(file.read_text())["status"]
-        elif file.is_file() and file.name != "run.log":
+        elif file.is_file() and file.name not in ("run.log", "manifest.json"):  # these hold or hash times
             found[name] = file.read_bytes()
     return found
 

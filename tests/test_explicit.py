@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from phantomnode.solver import explicit
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import RunStopped, frames
 from phantomnode.solver.model import Contact, Model
@@ -254,6 +255,27 @@ def test_resuming_gives_the_same_bits():
         for one, other in zip(a.state, b.state, strict=True):
             np.testing.assert_array_equal(one, other)
         assert a.energy_error == b.energy_error
+
+
+def test_a_run_goes_on_from_the_frames_between_too(monkeypatch):
+    """Looks at the guards every 70 steps, questions every 16: neither changes a bit, nor does an end between."""
+    model, velocity, _ = two_blocks()
+    dt = stable_step(model).dt
+    monkeypatch.setattr(explicit, "LOOK_STEPS", (1, 70))
+    monkeypatch.setattr(explicit, "ASK_WORK", 16 * len(model.elements.volume))
+    arguments = model, velocity, dt, [0, 100, 300], STILL, 0.05
+    whole = list(frames(*arguments))
+    every = list(frames(*arguments, looks=True))
+    assert [frame.step for frame in every] == [0, 70, 100, 170, 240, 300]
+    asked = iter([False] * 12 + [True])
+    short = list(frames(*arguments, looks=True, ended=lambda: next(asked)))
+    assert [frame.step for frame in short] == [0, 70, 100, 170]
+    for frame in short[1:]:
+        end = last_of(frames(*arguments, resume=frame))
+        for one, other in zip(end.state, whole[-1].state, strict=True):
+            np.testing.assert_array_equal(one, other)
+            assert one.flags.f_contiguous == other.flags.f_contiguous
+        assert (end.energies, end.energy_error) == (whole[-1].energies, whole[-1].energy_error)
 
 
 def test_the_initial_frame_is_given_only_where_it_is_asked_for():

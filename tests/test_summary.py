@@ -118,7 +118,7 @@ def test_run_writes_everything(prepared, tmp_path):
     assert (summary.status, figures["status"], figures["steps"]) == ("done", "done", 100)
     assert {path.name for path in out.iterdir()} == {
         "case.toml", "summary.json", "history.csv", "fields.pvd", "fields", "contact.pvd", "contact",
-        "run.log", "peak.png",
+        "run.log", "peak.png", "manifest.json",
     }  # fmt: skip
     # 60 frames after the start; 100 steps for 2000 rows.
     assert len(list((out / "fields").iterdir())) == len(list((out / "contact").iterdir())) == 61
