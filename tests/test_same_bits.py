@@ -128,7 +128,7 @@ def run_all(*orders: tuple[str | Path, Path, int, *tuple[str, ...]], strip: int)
     environment = {**os.environ, "NUMBA_NUM_THREADS": "4"}
     done = subprocess.run(
         [sys.executable, "-c", RUNS, str(strip), *lines],
-        env=environment, capture_output=True, text=True, timeout=300,
+        env=environment, capture_output=True, text=True, timeout=600,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
