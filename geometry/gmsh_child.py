@@ -221,11 +221,14 @@ def _element_edges(gmsh: Any, dimension: int, entity: int) -> list[list[int]]:
     edges: list[list[int]] = []
     for kind, _, nodes in zip(*gmsh.model.mesh.getElements(dimension, entity), strict=True):
         _, _, order, count, *_ = gmsh.model.mesh.getElementProperties(kind)
+        elements = np.asarray(nodes).reshape(-1, count)
         if dimension == 1:
-            edges += np.asarray(nodes).reshape(-1, count).tolist()
+            edges += elements.tolist()
         else:
-            found = gmsh.model.mesh.getElementEdgeNodes(kind, entity)
-            edges += np.asarray(found).reshape(-1, order + 1).tolist()
+            found = np.asarray(gmsh.model.mesh.getElementEdgeNodes(kind, entity)).reshape(len(elements), -1)
+            # gmsh 2.2 writes an element for every physical group that it belongs to.
+            _, once = np.unique(elements, axis=0, return_index=True)
+            edges += found[np.sort(once)].reshape(-1, order + 1).tolist()
     return edges
 
 

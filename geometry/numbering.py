@@ -31,7 +31,8 @@ def renumbered(xy: Floats, quads: Ints) -> tuple[Floats, Ints]:
     -------
     xy : (n, 2) float64, metres
     quads : (m, 4) int64
-        Each from its lowest node on, counter-clockwise, by ascending nodes.
+        Each from its lowest node on, counter-clockwise, by ascending nodes. Each is there once: gmsh 2.2 writes a
+        cell for every physical group that it belongs to.
 
     Raises
     ------
@@ -49,7 +50,10 @@ def renumbered(xy: Floats, quads: Ints) -> tuple[Floats, Ints]:
     a, b, c, d = np.moveaxis(sorted_xy[turned], 1, 0)
     clockwise = (c - a)[:, 0] * (d - b)[:, 1] < (c - a)[:, 1] * (d - b)[:, 0]
     turned[clockwise] = turned[clockwise][:, [0, 3, 2, 1]]
-    return sorted_xy, turned[np.lexsort(turned.T[::-1])]
+    turned = turned[np.lexsort(turned.T[::-1])]
+    again = np.zeros(len(turned), dtype=bool)
+    again[1:] = np.all(turned[1:] == turned[:-1], axis=1)
+    return sorted_xy, turned[~again]
 
 
 def _refuse_twins(xy: Floats) -> None:

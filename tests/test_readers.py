@@ -494,6 +494,16 @@ def test_a_quad_mesh_is_a_background_grid(tmp_path: Path) -> None:
     assert np.array_equal(np.unique(grid.quads), np.arange(len(grid.xy)))
 
 
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_cells_in_two_physical_groups_are_there_once(tmp_path: Path, version: float) -> None:
+    groups = "for name in 'ab': model.addPhysicalGroup(2, [1], name=name)\n"
+    groups += f"gmsh.option.setNumber('Mesh.MshFileVersion', {version})"
+    (path,) = by_gmsh(tmp_path, QUADS + "mesh.generate(2)\n" + groups, "q.msh")
+    assert read_quads(path, "m").areas.sum() == pytest.approx(2.0, rel=EXACT)
+    (region,) = read_geometry(path, "m").regions
+    assert region.area == pytest.approx(2.0, rel=EXACT)
+
+
 def quads_file(body: str, name: str = "q.msh") -> Callable[[Path], Path]:
     return lambda folder: by_gmsh(folder, body, name)[0]
 
