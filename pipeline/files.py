@@ -8,6 +8,9 @@ import os
 import secrets
 from pathlib import Path
 
+AS_IT_IS = getattr(os, "O_BINARY", 0)
+"""Windows would change ends of lines."""
+
 
 class WriteError(OSError):
     """A result cannot be written; the text says which, why, and what to do."""
@@ -46,7 +49,7 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
     data = content.encode() if isinstance(content, str) else content
     part = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
     try:
-        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | AS_IT_IS, 0o666)
         try:
             write_all(handle, data)
             if durable:
@@ -130,7 +133,7 @@ class GrowingFile:
         self._digest = hashlib.sha256(content)
         if not there:
             write_atomically(path, content)
-        self._handle = os.open(path, os.O_RDWR)
+        self._handle = os.open(path, os.O_RDWR | AS_IT_IS)
         os.ftruncate(self._handle, self.size)
         os.lseek(self._handle, self.size, os.SEEK_SET)
 
