@@ -159,6 +159,54 @@ def test_results_go_to_the_first_free_folder(line: Line, runs: Calls) -> None:
     assert folders == ["results/disc", "results/disc-2", "results/disc-3", "results/disc-2"]
 
 
+def test_resume_goes_to_the_last_run_that_has_not_ended(line: Line, runs: Calls) -> None:
+    assert line("new", "disc") == 0
+    assert line("run", "disc", "--resume") == 0  # nothing there yet: the first folder
+    assert line("run", "disc") == 0
+    assert line("run", "disc", "--set", "title=interrupted") == 130
+    assert line("run", "disc", "--resume") == 0
+    assert line("run", "disc", "--resume") == 0  # all have ended: the last one, which will say so
+    folders = [str(out) for _, out in runs]
+    assert folders == ["results/disc", "results/disc-2", "results/disc-3", "results/disc-3", "results/disc-3"]
+
+
+def test_resume_takes_the_folder_of_a_run_for_its_case(line: Line, runs: Calls) -> None:
+    assert line("new", "disc") == 0
+    Path("disc/run.log").touch()
+    assert line("run", "disc", "--resume") == 0
+    assert line("run", "disc", "--resume", "--out", "other") == 0
+    assert [str(out) for _, out in runs] == ["disc", "other"]
+
+
+def test_a_run_that_can_go_on_is_not_written_over(
+    line: Line, runs: Calls, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert line("new", "disc") == 0
+    Path("mine/checkpoint").mkdir(parents=True)
+    Path("mine/checkpoint/step_000000000100.checkpoint").touch()
+    assert line("run", "disc", "--out", "mine") == 2
+    assert "add --resume to go on with it" in capsys.readouterr().err
+    assert line("run", "disc", "--out", "mine", "--resume", "--overwrite") == 2
+    assert "take one" in capsys.readouterr().err and not runs
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ("--checkpoint-every=soon", '--checkpoint-every: "soon" is no interval'),
+        ("--wall-limit=5", '--wall-limit: "5" is no wall time'),
+        ("--set=output.checkpoint.every='5'", '"5" is no interval'),
+    ],
+)
+def test_what_is_no_time_is_refused_with_examples(
+    line: Line, capsys: pytest.CaptureFixture[str], option: str, message: str
+) -> None:
+    assert line("new", "disc") == 0
+    assert line("run", "disc", option) == 2
+    said = capsys.readouterr().err
+    assert message in said and "min" in said and not Path("results").exists()
+
+
 def test_a_finished_run_in_out_is_kept_unless_asked(
     line: Line, runs: Calls, capsys: pytest.CaptureFixture[str]
 ) -> None:

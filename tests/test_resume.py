@@ -22,6 +22,8 @@ from phantomnode.pipeline.checkpoint import Damaged, checkpoints, packed, unpack
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.folder import differences
 from phantomnode.pipeline.lock import LOCK, FolderLock, is_locked
+from phantomnode.pipeline.preflight import steps_of
+from phantomnode.pipeline.prepare import prepare
 from phantomnode.pipeline.run import run, run_all
 from phantomnode.pipeline.starter import write_starter
 from phantomnode.pipeline.tally import Tally
@@ -110,6 +112,13 @@ def test_every_bundled_case_goes_on_to_the_same_bits(
     assert summary.figures["step_loop_s"] > 0.0
 
 
+@pytest.mark.parametrize("name", sorted(set(BUNDLED) - {"ring_impact/polar"}))
+def test_two_threads_take_part_in_these_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not on the polar grid: it closes on itself, so that its first strip is next to its last."""
+    monkeypatch.setattr(layout, "STRIP_ELEMENTS", 8)
+    assert layout.prepare_layout(prepare(coarse(name, "")).model, 2).threads == 2
+
+
 def test_contact_and_friction_are_active_in_these_runs(tmp_path: Path) -> None:
     summary = run(load_case("ring_impact", RING), tmp_path / "out")
     assert summary.figures["peak_contact_force"]["ring_on_obstacle"] > 0.0
@@ -137,9 +146,6 @@ def interrupted(case: Case, out: Path, monkeypatch: pytest.MonkeyPatch, **option
 
 
 def steps_of_case(case: Case) -> int:
-    from phantomnode.pipeline.preflight import steps_of
-    from phantomnode.pipeline.prepare import prepare
-
     return steps_of(prepare(case))
 
 
