@@ -8,17 +8,19 @@ import time
 import tomllib
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from phantomnode import __version__
-from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.checkpoint import checkpoints, remove_checkpoints
+from phantomnode.pipeline.files import remove_parts, write_atomically
+from phantomnode.pipeline.lock import LOCK as RUN_LOCK
 
 OUTCOME = "outcome.json"
 """Of a case in its folder: status, reason, hash and version, and how often it was begun by which batch."""
 RETRIES = 2
-"""How often a case whose worker died is begun again."""
+"""How often a case whose worker died is begun again, unless it got to another checkpoint."""
 DONE, STOPPED, FAILED, RUNNING, INTERRUPTED = "done", "stopped", "failed", "running", "interrupted"
 LOCK = ".case.lock"
 """Beside the one of a run, which one on another machine may have left: this one the system gives back."""
@@ -52,25 +54,39 @@ class Outcome(NamedTuple):
 def run_order(order: Order) -> Outcome:
     """Run a case, unless it is found finished, and write how it ended.
 
-    The same order may reach two workers, where one was taken for dead: the second waits for the first. What a
-    case does wrong is its outcome; only a folder that cannot be written raises (OSError).
+    The same order may reach two workers, where one was taken for dead: the second waits for the first. A case that
+    was begun goes on from its last checkpoint. What a case does wrong is its outcome; only a folder that cannot be
+    written raises (OSError).
     """
     folder = Path(order.folder)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder / LOCK):
         before = read_record(folder)
-        own = before.get("batch") == order.batch
-        if is_of(before, order.hash) and (before["status"] == DONE or own and before["status"] != RUNNING):
+        same, own = is_of(before, order.hash), before.get("batch") == order.batch
+        if same and (before["status"] == DONE or own and before["status"] != RUNNING):
             return outcome_in(folder)
-        attempt = before["attempt"] + 1 if own else 1
+        goes_on = same and before["status"] != STOPPED
+        if not goes_on:
+            _forget(folder)
+        here = next((file.name for file in checkpoints(folder)), "")
+        # An attempt that got to another checkpoint was not in vain: on a cluster, jobs end before long cases do.
+        attempt = before["attempt"] + 1 if own and here == before.get("checkpoint") else 1
         if attempt > RETRIES + 1:
             return _end(order, attempt, FAILED, f"its worker died {RETRIES + 1} times")
-        _record(order, attempt, RUNNING)
+        _record(order, attempt, RUNNING, checkpoint=here)
         remove_parts(folder)
-        return _end(order, attempt, *_attempt(order))
+        with suppress(BlockingIOError), held(folder / RUN_LOCK, wait=False):
+            pass  # left by a run on another machine, where it cannot be told whether its process has ended
+        return _end(order, attempt, *_attempt(order, goes_on))
 
 
-def _attempt(order: Order) -> tuple[str, str, str]:
+def _forget(folder: Path) -> None:
+    """Take out what another case left to go on with."""
+    (folder / "case.toml").unlink(missing_ok=True)
+    remove_checkpoints(folder)
+
+
+def _attempt(order: Order, goes_on: bool) -> tuple[str, str, str]:
     """Run the case: its status, the reason, and the traceback of a fault of the program."""
     from phantomnode.geometry.errors import GeometryError
     from phantomnode.pipeline.case import case_from_table
@@ -79,7 +95,7 @@ def _attempt(order: Order) -> tuple[str, str, str]:
 
     try:
         case = case_from_table(tomllib.loads(order.case))
-        summary = run(case, order.folder, command=order.command, threads=order.threads)
+        summary = run(case, order.folder, command=order.command, threads=order.threads, resume=goes_on)
     except (CaseError, GeometryError, OSError) as error:
         return FAILED, str(error), ""
     except Exception as error:  # the batch goes on; the table and the file say what happened
@@ -124,12 +140,6 @@ def _json(file: Path) -> dict[str, Any]:
     except (FileNotFoundError, ValueError):
         return {}
     return table if isinstance(table, dict) else {}
-
-
-def remove_parts(folder: Path) -> None:
-    """Remove what a process that was killed had not finished writing."""
-    for part in folder.rglob(".*.part"):
-        part.unlink()
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from phantomnode.pipeline.one_case import DONE, Order, Outcome
 def deadly(order: Order) -> Outcome:
     """Cases in a folder called bad kill their worker; others are done, later than a worker dies."""
 
-    def attempt(order: Order) -> tuple[str, str, str]:
+    def attempt(order: Order, goes_on: bool) -> tuple[str, str, str]:
         if Path(order.folder).name == "bad":
             os.kill(os.getpid(), signal.SIGKILL)
         time.sleep(0.5)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import batch_workers
 import pytest
@@ -15,6 +18,8 @@ import pytest
 from phantomnode import __version__ as VERSION
 from phantomnode.pipeline import batch as batch_module
 from phantomnode.pipeline.batch import ledger_of, run_batch
+from phantomnode.pipeline.case import resolved_toml
+from phantomnode.pipeline.checkpoint import checkpoints
 from phantomnode.pipeline.engine import Crew, client_of, crew, outcomes
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.one_case import (
@@ -31,6 +36,7 @@ from phantomnode.pipeline.one_case import (
     run_order,
 )
 from phantomnode.pipeline.sweep import load_study
+from phantomnode.pipeline.tally import Tally
 
 SWEEP = """
 base = "ring_impact"
@@ -259,7 +265,7 @@ def test_a_fault_of_a_case_is_its_outcome(tmp_path: Path) -> None:
 def test_a_case_is_begun_three_times_in_a_batch_and_anew_in_the_next(tmp_path: Path, monkeypatch) -> None:
     attempts = []
 
-    def dies(order: Order) -> None:
+    def dies(order: Order, goes_on: bool) -> None:
         attempts.append(read_record(tmp_path)["attempt"])
         (tmp_path / ".part.vtu.0.part").write_text("half")
         raise SystemExit  # past every handler, as a killed process
@@ -271,10 +277,57 @@ def test_a_case_is_begun_three_times_in_a_batch_and_anew_in_the_next(tmp_path: P
             run_order(order)
     assert read_record(tmp_path)["status"] == RUNNING and attempts == [1, 2, 3]
     assert run_order(order) == Outcome(FAILED, "its worker died 3 times", {})
-    monkeypatch.setattr("phantomnode.pipeline.one_case._attempt", lambda order: (DONE, "", ""))
+    monkeypatch.setattr("phantomnode.pipeline.one_case._attempt", lambda order, goes_on: (DONE, "", ""))
     assert run_order(order._replace(batch="second")).status == DONE
     assert not leftovers(tmp_path) and run_order(order._replace(batch="third")).status == DONE
     assert read_record(tmp_path)["batch"] == "second"  # found finished
+
+
+def test_a_case_goes_on_from_its_last_checkpoint_unless_it_changed(
+    sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, other = (point for point in load_study(sweep).points[:2])
+    folder = tmp_path / "case"
+    take = Tally.frame
+
+    def frame(self: Tally, frame: Any) -> None:
+        take(self, frame)
+        if frame.step >= 60:
+            monkeypatch.undo()
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def interrupt() -> None:
+        monkeypatch.setattr(Tally, "frame", frame)
+        order = Order(resolved_toml(first.case), str(folder), first.hash, "first")
+        assert run_order(order).status == "interrupted" and checkpoints(folder)
+
+    interrupt()
+    order = Order(resolved_toml(first.case), str(folder), first.hash, "second")
+    done = run_order(order)
+    assert done.status == DONE and len(done.figures["resumed_at"]) == 1
+
+    (folder / OUTCOME).unlink()
+    interrupt()
+    anew = run_order(Order(resolved_toml(other.case), str(folder), other.hash, "second"))
+    assert anew.status == DONE and not anew.figures["resumed_at"]
+
+
+def test_an_attempt_that_got_further_is_not_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Three jobs end before a long case does, each behind another checkpoint; then it stays where it is."""
+    steps = iter([10, 20, 30, 30, 30])
+
+    def dies(order: Order, goes_on: bool) -> None:
+        (tmp_path / "checkpoint").mkdir(exist_ok=True)
+        (tmp_path / "checkpoint" / f"step_{next(steps):012d}.checkpoint").touch()
+        raise SystemExit
+
+    monkeypatch.setattr("phantomnode.pipeline.one_case._attempt", dies)
+    order, counted = Order("", str(tmp_path), "h", "first"), []
+    for _ in range(5):
+        with pytest.raises(SystemExit):
+            run_order(order)
+        counted.append(read_record(tmp_path)["attempt"])
+    assert counted == [1, 1, 1, 1, 2]
 
 
 def test_a_worker_that_dies_takes_only_its_case_with_it(tmp_path: Path) -> None:

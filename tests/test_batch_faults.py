@@ -34,8 +34,12 @@ values = [0.05, 0.04]
 """
 LONG = """
 base = "ring_impact"
-set = { "time.end" = 3e-3, "output.fields.count" = 4, "output.history.count" = 100 }
 zip = [["cell", "obstacle"]]
+[set]
+"time.end" = 3e-3
+"output.fields.count" = 4
+"output.history.count" = 100
+"output.checkpoint.every" = "50 steps"
 [axis.speed]
 key = "body.ring.initial_velocity.1"
 values = [-50.0, -100.0]
@@ -49,7 +53,9 @@ values = [0.05, 0.04, 0.025, 0.02]
 key = "body.obstacle.grid.cell"
 values = [0.1, 0.1, 0.05, 0.05]
 """
-CLOCKS = {"wall_s", "step_loop_s", "element_updates_per_s", "provenance"}
+CLOCKS = {"wall_s", "step_loop_s", "element_updates_per_s", "provenance", "resumed_at"}
+OTHERS = {"run.log", "summary.json"}
+"""Files that name times; in manifest.json so do their digests."""
 VICTIMS = ("driver", "worker", "worker", "any")
 
 
