@@ -16,6 +16,7 @@ from phantomnode import __version__
 from phantomnode.pipeline.checkpoint import checkpoints, remove_checkpoints
 from phantomnode.pipeline.files import remove_parts, write_atomically
 from phantomnode.pipeline.lock import LOCK as RUN_LOCK
+from phantomnode.pipeline.lock import is_locked
 
 OUTCOME = "outcome.json"
 """Of a case in its folder: status, reason, hash and version, and how often it was begun by which batch."""
@@ -66,7 +67,7 @@ def run_order(order: Order) -> Outcome:
         if same and (before["status"] == DONE or own and before["status"] != RUNNING):
             return outcome_in(folder)
         goes_on = same and before["status"] != STOPPED
-        if not goes_on:
+        if not goes_on and not is_locked(folder):
             _forget(folder)
         here = next((file.name for file in checkpoints(folder)), "")
         # An attempt that got to another checkpoint was not in vain: on a cluster, jobs end before long cases do.
@@ -97,6 +98,10 @@ def _attempt(order: Order, goes_on: bool) -> tuple[str, str, str]:
         case = case_from_table(tomllib.loads(order.case))
         summary = run(case, order.folder, command=order.command, threads=order.threads, resume=goes_on)
     except (CaseError, GeometryError, OSError) as error:
+        if goes_on and isinstance(
+            error, CaseError
+        ):  # a checkpoint of another build of the solver, most likely
+            return _attempt(order, False)
         return FAILED, str(error), ""
     except Exception as error:  # the batch goes on; the table and the file say what happened
         return FAILED, f"{type(error).__name__}: {error}", traceback.format_exc()

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import batch_workers
@@ -18,7 +19,7 @@ import pytest
 from phantomnode import __version__ as VERSION
 from phantomnode.pipeline import batch as batch_module
 from phantomnode.pipeline.batch import ledger_of, run_batch
-from phantomnode.pipeline.case import resolved_toml
+from phantomnode.pipeline.case import Case, resolved_toml
 from phantomnode.pipeline.checkpoint import checkpoints
 from phantomnode.pipeline.engine import Crew, client_of, crew, outcomes
 from phantomnode.pipeline.errors import CaseError
@@ -310,6 +311,25 @@ def test_a_case_goes_on_from_its_last_checkpoint_unless_it_changed(
     interrupt()
     anew = run_order(Order(resolved_toml(other.case), str(folder), other.hash, "second"))
     assert anew.status == DONE and not anew.figures["resumed_at"]
+
+
+def test_a_checkpoint_that_is_refused_lets_a_case_begin_anew(
+    sweep: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    point = load_study(sweep).points[0]
+    order, asked = Order(resolved_toml(point.case), str(tmp_path), point.hash, "b"), list[bool]()
+    assert run_order(order).status == DONE
+    record = read_record(tmp_path) | {"status": RUNNING}
+    (tmp_path / OUTCOME).write_text(json.dumps(record))
+
+    def run(case: Case, folder: str, *, resume: bool, **_: object) -> SimpleNamespace:
+        asked.append(resume)
+        if resume:
+            raise CaseError("a checkpoint of another build")
+        return SimpleNamespace(status=DONE, figures={"reason": ""})
+
+    monkeypatch.setattr("phantomnode.pipeline.run.run", run)
+    assert run_order(order).status == DONE and asked == [True, False]
 
 
 def test_an_attempt_that_got_further_is_not_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
