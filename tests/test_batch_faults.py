@@ -55,7 +55,7 @@ values = [0.1, 0.1, 0.05, 0.05]
 """
 CLOCKS = {"wall_s", "step_loop_s", "element_updates_per_s", "provenance", "resumed_at"}
 OTHERS = {"run.log", "summary.json"}
-"""Files that name times; in manifest.json so do their digests."""
+"""Files that hold times; in manifest.json so do their digests, and in checkpoints everything."""
 VICTIMS = ("driver", "worker", "worker", "any")
 
 
@@ -128,7 +128,10 @@ def contents(out: Path) -> dict[str, object]:
             found[name] = {key: value for key, value in figures.items() if key not in CLOCKS}
         elif file.name == "outcome.json":
             found[name] = json.loads(file.read_text())["status"]
-        elif file.is_file() and file.name not in ("run.log", "manifest.json"):  # these hold or hash times
+        elif file.name == "manifest.json":
+            files = json.loads(file.read_text())["files"]
+            found[name] = {key: value for key, value in files.items() if key not in OTHERS}
+        elif file.is_file() and file.name not in OTHERS and file.parent.name != "checkpoint":
             found[name] = file.read_bytes()
     return found
 
