@@ -6,6 +6,7 @@ import logging
 import os
 import queue
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -127,6 +128,8 @@ def _settings(crew: Crew, scratch: Path) -> Iterator[None]:
         finally:
             os.environ.clear()
             os.environ.update(before)
+            if "numba" in sys.modules:  # it reads its variables again whenever it compiles
+                sys.modules["numba"].config.reload_config()
 
 
 @contextmanager
