@@ -17,11 +17,11 @@ from phantomnode.solver.model import Contact, Model
 from phantomnode.solver.q4 import one_point_elements
 from phantomnode.solver.timestep import StepEstimate
 
-LAME, SHEAR, RHO, PENALTY = 2.0e9, 1.0e9, 1000.0, 1e9
-settings.register_profile(
-    "same", derandomize=True
-)  # a change is judged by the same examples as the one before
+# A change is judged by the same generated examples as the one before.
+settings.register_profile("same", derandomize=True)
 settings.load_profile("same")
+
+LAME, SHEAR, RHO, PENALTY = 2.0e9, 1.0e9, 1000.0, 1e9
 
 GAUSS = 0.5 + np.array([-1.0, 1.0]) / np.sqrt(12.0)
 NO_SEGMENTS = BoundarySegments(
