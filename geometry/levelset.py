@@ -8,7 +8,7 @@ point: + where the curve turns right there, - where it turns left (the material 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,31 +124,34 @@ class LevelSet:
         return best
 
 
-class _Pieces(NamedTuple):
-    """Lines and arcs for the kernel; row k of every array is piece k.
+PIECE = np.dtype(
+    [(name, np.float64) for name in (
+        "ax", "ay", "bx", "by",  # start and end, metres
+        "ex", "ey", "half",  # unit vector along the chord, half its length
+        "bulge", "cx", "cy", "radius", "half_angle",  # of lines 0, any, infinite, 0
+        "leaving_x", "leaving_y", "arriving_x", "arriving_y",  # unit tangents at start and end
+        "start_turn", "start_sign", "start_nx", "start_ny", "end_turn", "end_sign", "end_nx", "end_ny",
+    )]
+    + [("curve", np.int64), ("piece", np.int64)]
+)  # fmt: skip
+"""A line or arc. At a vertex: the turn there (radians, unsigned), the sign of the points closest to it (0: by the
+side of the normal), and the mean left normal."""
 
-    ``vertex_*`` have one row for the start and one for the end, (n, 2, ...): the turn there (radians,
-    unsigned), the sign of the points closest to it (0: by the side of the normal), the mean left normal.
-    ``chords`` is a complete binary tree of the pieces, which follow each other along their curves: node i has the
-    children 2i and 2i + 1, and the leaves, from ``len(chords) // 2`` on, are the pieces. Each row is a straight
-    segment (start, end, unit vector, length) and its slack: no piece below it is farther from the segment.
+Piece = Any
+"""A record of ``PIECE``: numba's is typed by the kernel, that without numba is a ``np.record``."""
+
+
+class _Pieces(NamedTuple):
+    """Lines and arcs for the kernels.
+
+    ``rows`` is (n,) of ``PIECE``: a kernel that takes a record takes one pointer, where a tuple of arrays would
+    be counted, array by array, at each call. ``chords`` is a complete binary tree of the pieces, which follow each
+    other along their curves: node i has the children 2i and 2i + 1, and the leaves, from ``len(chords) // 2`` on, are
+    the pieces. Each row is a straight segment (start, end, unit vector, length) and its slack: no piece below it
+    is farther from the segment.
     """
 
-    start: Floats
-    end: Floats
-    along: Floats  # unit chord
-    half: Floats  # half the chord
-    bulge: Floats
-    centre: Floats
-    radius: Floats
-    start_tangent: Floats
-    end_tangent: Floats
-    half_angle: Floats
-    vertex_turn: Floats
-    vertex_sign: Floats
-    vertex_normal: Floats
-    curve: Ints
-    piece: Ints
+    rows: Any  # np.recarray
     chords: Floats
 
 
@@ -162,27 +165,22 @@ def _pieces(curves: Sequence[Curve]) -> _Pieces:
         raise GeometryError("a curve has a piece without length or a coordinate that is not finite")
     bent = bulge != 0.0
     centre = arc_centre(start, end, np.where(bent, bulge, 1.0))
-    vertex = [_vertices(c) for c in curves]
     # An arc leaves its chord by at most its sagitta, or its diameter beyond a semicircle.
     reach = np.where(np.abs(bulge) <= 1.0, 0.5 * np.abs(bulge), 0.5 * (1.0 + bulge**2)) * chord
-    return _Pieces(
-        start=start,
-        end=end,
-        along=(end - start) / chord[:, None],
-        half=0.5 * chord,
-        bulge=bulge,
-        centre=centre,
-        radius=np.where(bent, 0.25 * chord * (1.0 + bulge**2) / np.abs(np.where(bent, bulge, 1.0)), np.inf),
-        start_tangent=np.vstack([c.tangents[0] for c in curves]),
-        end_tangent=np.vstack([c.tangents[1] for c in curves]),
-        half_angle=0.5 * np.concatenate([c.angles for c in curves]),
-        vertex_turn=np.concatenate([v[0] for v in vertex]),
-        vertex_sign=np.concatenate([v[1] for v in vertex]),
-        vertex_normal=np.concatenate([v[2] for v in vertex]),
-        curve=np.repeat(np.arange(len(curves)), [len(c.bulges) for c in curves]),
-        piece=np.concatenate([np.arange(len(c.bulges)) for c in curves]),
-        chords=_chord_tree(start, end, reach),
-    )
+    rows = np.recarray(len(start), dtype=PIECE)
+    rows.ax, rows.ay, rows.bx, rows.by = *start.T, *end.T
+    (rows.ex, rows.ey), rows.half = (end - start).T / chord, 0.5 * chord
+    rows.bulge, (rows.cx, rows.cy) = bulge, centre.T
+    rows.radius = np.where(bent, 0.25 * chord * (1.0 + bulge**2) / np.abs(np.where(bent, bulge, 1.0)), np.inf)
+    rows.half_angle = 0.5 * np.concatenate([c.angles for c in curves])
+    rows.leaving_x, rows.leaving_y = np.vstack([c.tangents[0] for c in curves]).T
+    rows.arriving_x, rows.arriving_y = np.vstack([c.tangents[1] for c in curves]).T
+    turn, sign, normal = (np.concatenate(each) for each in zip(*(_vertices(c) for c in curves), strict=True))
+    (rows.start_turn, rows.end_turn), (rows.start_sign, rows.end_sign) = turn.T, sign.T
+    (rows.start_nx, rows.end_nx), (rows.start_ny, rows.end_ny) = normal.T
+    rows.curve = np.repeat(np.arange(len(curves)), [len(c.bulges) for c in curves])
+    rows.piece = np.concatenate([np.arange(len(c.bulges)) for c in curves])
+    return _Pieces(rows, _chord_tree(start, end, reach))
 
 
 def _vertices(curve: Curve) -> tuple[Floats, Floats, Floats]:
@@ -253,12 +251,13 @@ def _query(pieces: _Pieces, xy: Floats) -> tuple[Floats, Floats, Floats, Ints, I
     for i in range(n):
         x, y = xy[i, 0], xy[i, 1]
         guess, vertex, far = _nearest(pieces, x, y, guess, stack, waiting)
-        px, py, nx, ny, phi = _foot(pieces, guess, vertex, far, x, y)
+        found = pieces.rows[guess]
+        px, py, nx, ny, phi = _foot(found, vertex, far, x, y)
         distance[i] = phi
         normal[i, 0], normal[i, 1] = nx, ny
         point[i, 0], point[i, 1] = px, py
-        curve[i], piece[i] = pieces.curve[guess], pieces.piece[guess]
-        s[i] = _fraction(pieces, guess, vertex, px, py)
+        curve[i], piece[i] = found.curve, found.piece
+        s[i] = _fraction(found, vertex, px, py)
     return distance, normal, point, curve, piece, s
 
 
@@ -270,7 +269,7 @@ def _distance(pieces: _Pieces, xy: Floats) -> Floats:
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
         guess, vertex, far = _nearest(pieces, x, y, guess, stack, waiting)
-        distance[i] = _foot(pieces, guess, vertex, far, x, y)[4]
+        distance[i] = _foot(pieces.rows[guess], vertex, far, x, y)[4]
     return distance
 
 
@@ -283,8 +282,8 @@ def _nearest(
     Of features that are equally far the one with the smallest turn counts: a corner that touches the
     outside of another one from within must not speak for the points out there. Then the lower number.
     """
-    best = guess
-    far, vertex, turn = _measure(pieces, best, x, y)
+    rows, best = pieces.rows, guess
+    far, vertex, turn = _measure(rows[best], x, y)
     limit = far * (1.0 + TIE)
     chords, leaves = pieces.chords, len(pieces.chords) // 2
     i, top = 1, 0
@@ -301,7 +300,7 @@ def _nearest(
                 i = near
                 continue
         elif i - leaves != best:
-            d, v, t = _measure(pieces, i - leaves, x, y)
+            d, v, t = _measure(rows[i - leaves], x, y)
             tie = abs(d - far) <= TIE * far
             if (d < far and not tie) or (tie and (t < turn or (t == turn and i - leaves < best))):
                 best, far, vertex, turn = i - leaves, d, v, t
@@ -325,76 +324,76 @@ def _off2(chords: Floats, i: int, x: float, y: float) -> float:
 
 
 @kernel
-def _measure(pieces: _Pieces, k: int, x: float, y: float) -> tuple[float, int, float]:
-    """Unsigned distance to piece k, closest vertex (-1: inside the piece), turn at that vertex."""
-    ax, ay = x - pieces.start[k, 0], y - pieces.start[k, 1]
-    bx, by = x - pieces.end[k, 0], y - pieces.end[k, 1]
-    past_start = ax * pieces.start_tangent[k, 0] + ay * pieces.start_tangent[k, 1] > 0.0
-    before_end = bx * pieces.end_tangent[k, 0] + by * pieces.end_tangent[k, 1] < 0.0
+def _measure(piece: Piece, x: float, y: float) -> tuple[float, int, float]:
+    """Unsigned distance to a piece, closest vertex (-1: inside the piece), turn at that vertex."""
+    ax, ay = x - piece.ax, y - piece.ay
+    bx, by = x - piece.bx, y - piece.by
+    past_start = ax * piece.leaving_x + ay * piece.leaving_y > 0.0
+    before_end = bx * piece.arriving_x + by * piece.arriving_y < 0.0
     # The normals at both ends bound the sector of an arc, which is not convex beyond a semicircle.
-    inside = (past_start or before_end) if abs(pieces.bulge[k]) > 1.0 else (past_start and before_end)
+    inside = (past_start or before_end) if abs(piece.bulge) > 1.0 else (past_start and before_end)
     if inside:
-        return abs(_side(pieces, k, x, y)), -1, 0.0
+        return abs(_side(piece, x, y)), -1, 0.0
     da, db = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
     if da <= db:
-        return da, 0, pieces.vertex_turn[k, 0]
-    return db, 1, pieces.vertex_turn[k, 1]
+        return da, 0, piece.start_turn
+    return db, 1, piece.end_turn
 
 
 @kernel
-def _side(pieces: _Pieces, k: int, x: float, y: float) -> float:
-    """Signed distance to the whole line or circle of piece k, positive to the left.
+def _side(piece: Piece, x: float, y: float) -> float:
+    """Signed distance to the whole line or circle of a piece, positive to the left.
 
     With g of intersect.py the power of the point is r^2 - rho^2 = +-2 r g, so r - rho = 2 g / (1 + rho/r).
     """
-    ex, ey = pieces.along[k, 0], pieces.along[k, 1]
-    ax, ay = x - pieces.start[k, 0], y - pieces.start[k, 1]
-    b, v = pieces.bulge[k], ex * ay - ey * ax
+    ex, ey = piece.ex, piece.ey
+    ax, ay = x - piece.ax, y - piece.ay
+    b, v = piece.bulge, ex * ay - ey * ax
     if b == 0.0:
         return v
-    bx, by = x - pieces.end[k, 0], y - pieces.end[k, 1]
-    g = ((1.0 - b * b) * v - b * (ax * bx + ay * by) / pieces.half[k]) / (1.0 + b * b)
-    cx, cy = pieces.centre[k, 0] - x, pieces.centre[k, 1] - y
-    return 2.0 * g / (1.0 + np.sqrt(cx * cx + cy * cy) / pieces.radius[k])
+    bx, by = x - piece.bx, y - piece.by
+    g = ((1.0 - b * b) * v - b * (ax * bx + ay * by) / piece.half) / (1.0 + b * b)
+    cx, cy = piece.cx - x, piece.cy - y
+    return 2.0 * g / (1.0 + np.sqrt(cx * cx + cy * cy) / piece.radius)
 
 
 @kernel
 def _foot(
-    pieces: _Pieces, k: int, vertex: int, far: float, x: float, y: float
+    piece: Piece, vertex: int, far: float, x: float, y: float
 ) -> tuple[float, float, float, float, float]:
     """Closest point (x, y), gradient (x, y) and signed distance on the closest feature."""
     if vertex >= 0:
-        px = pieces.end[k, 0] if vertex == 1 else pieces.start[k, 0]
-        py = pieces.end[k, 1] if vertex == 1 else pieces.start[k, 1]
-        nx, ny = pieces.vertex_normal[k, vertex, 0], pieces.vertex_normal[k, vertex, 1]
+        px = piece.bx if vertex == 1 else piece.ax
+        py = piece.by if vertex == 1 else piece.ay
+        nx, ny = (piece.end_nx, piece.end_ny) if vertex == 1 else (piece.start_nx, piece.start_ny)
         if far == 0.0:
             return px, py, nx, ny, 0.0
-        sign = pieces.vertex_sign[k, vertex]
+        sign = piece.end_sign if vertex == 1 else piece.start_sign
         if sign == 0.0:
             sign = 1.0 if (x - px) * nx + (y - py) * ny >= 0.0 else -1.0
         return px, py, sign * (x - px) / far, sign * (y - py) / far, sign * far
-    phi = _side(pieces, k, x, y)
-    nx, ny = -pieces.along[k, 1], pieces.along[k, 0]
-    if pieces.bulge[k] != 0.0:
-        cx, cy = pieces.centre[k, 0] - x, pieces.centre[k, 1] - y
+    phi = _side(piece, x, y)
+    nx, ny = -piece.ey, piece.ex
+    if piece.bulge != 0.0:
+        cx, cy = piece.cx - x, piece.cy - y
         rho = np.sqrt(cx * cx + cy * cy)
         if rho == 0.0:  # every point of the arc is as close: take its start
-            cx, cy = pieces.centre[k, 0] - pieces.start[k, 0], pieces.centre[k, 1] - pieces.start[k, 1]
-            rho = pieces.radius[k]
-        turn = 1.0 if pieces.bulge[k] > 0.0 else -1.0
+            cx, cy = piece.cx - piece.ax, piece.cy - piece.ay
+            rho = piece.radius
+        turn = 1.0 if piece.bulge > 0.0 else -1.0
         nx, ny = turn * cx / rho, turn * cy / rho
     return x - phi * nx, y - phi * ny, nx, ny, phi
 
 
 @kernel
-def _fraction(pieces: _Pieces, k: int, vertex: int, px: float, py: float) -> float:
-    """Fraction along piece k of a point on it: tan(s angle/2) = ra sin / (rb + ra cos)."""
+def _fraction(piece: Piece, vertex: int, px: float, py: float) -> float:
+    """Fraction along a piece of a point on it: tan(s angle/2) = ra sin / (rb + ra cos)."""
     if vertex >= 0:
         return float(vertex)
-    ax, ay = px - pieces.start[k, 0], py - pieces.start[k, 1]
-    bx, by = px - pieces.end[k, 0], py - pieces.end[k, 1]
+    ax, ay = px - piece.ax, py - piece.ay
+    bx, by = px - piece.bx, py - piece.by
     ra, rb = np.sqrt(ax * ax + ay * ay), np.sqrt(bx * bx + by * by)
-    h = abs(pieces.half_angle[k])
+    h = abs(piece.half_angle)
     if h == 0.0:
         return ra / (ra + rb)
     return np.arctan2(ra * np.sin(h), rb + ra * np.cos(h)) / h

@@ -225,7 +225,9 @@ def test_the_jit_and_the_interpreter_agree():
     plain = getattr(_measure, "py_func", _measure)
     for x, y in xy:
         for k in range(len(STAR.bulges)):
-            np.testing.assert_allclose(_measure(pieces, k, x, y), plain(pieces, k, x, y), rtol=1e-14)
+            np.testing.assert_allclose(
+                _measure(pieces.rows[k], x, y), plain(pieces.rows[k], x, y), rtol=1e-14
+            )
 
 
 @pytest.mark.twin("levelset._measure", "levelset._nearest", "levelset._off2")
@@ -245,7 +247,7 @@ def test_distance_to_each_piece_and_the_nearest_of_them_agree_with_numpy():
         for k in range(4):
             ends = corners[i, k : k + 2]
             vertex = int(np.argmin(ends)) if ends.min() - distance[k, i] < 1e-14 else -1
-            d, at, turned = _measure(pieces, k, x, y)
+            d, at, turned = _measure(pieces.rows[k], x, y)
             assert at == vertex and d == pytest.approx(distance[k, i], rel=0, abs=1e-13)
             assert turned == pytest.approx(turn[k + vertex] if vertex >= 0 else 0.0, rel=0, abs=1e-13)
             seen[vertex] += 1
