@@ -409,7 +409,8 @@ def test_a_case_is_named_after_its_folder_or_file(tmp_path: Path, path: str, nam
 
 
 def test_bundled_cases_are_sound_and_found_by_name() -> None:
-    assert list(bundled_cases())[:2] == ["ring_impact", "ring_impact/polar"]
+    names = list(bundled_cases())
+    assert names.index("ring_impact/polar") == names.index("ring_impact") + 1
     for name in bundled_cases():
         case = load_case(name)
         assert case.title and case.name == name.replace("/", "-")

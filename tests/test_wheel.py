@@ -30,7 +30,7 @@ def sources() -> set[str]:
     wanted = {f"phantomnode/{name}" for name in names}
     for package in ("geometry", "solver", "pipeline", "cases"):
         wanted |= {f"phantomnode/{package}/{file.name}" for file in (ROOT / package).glob("*.py")}
-    for kind in ("toml", "dxf", "step"):
+    for kind in ("toml", "dxf", "step", "brep", "geo_unrolled", "msh"):
         wanted |= {f"phantomnode/{file.relative_to(ROOT)}" for file in (ROOT / "cases").glob(f"*/*.{kind}")}
     return wanted
 
