@@ -72,7 +72,7 @@ def _draw(plot: Plot, found: Curves, title: str, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from phantomnode.pipeline.preview import save
+    from phantomnode.pipeline.drawing import save
 
     figure = Figure(figsize=(7.0, 4.5), layout="constrained")
     FigureCanvasAgg(figure)

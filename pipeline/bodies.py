@@ -83,7 +83,7 @@ def cut_body(case: Case, name: str) -> CutBody:
                 interfaces += [(label, curve) for curve in curves]
                 notes += more
     with at(case, f"body.{name}.grid"):
-        grid = grids.check(_grid(case, name, regions))
+        grid = grids.check(background_grid(case, name, regions))
     with at(case, f"body.{name}"):
         curves = tuple(curve for _, curve in interfaces)
         loops = [loop for region in regions for loop in region.loops]
@@ -209,8 +209,8 @@ def _graph(function: str, span: tuple[float, float] | None, regions: tuple[Regio
     return shapes.graph(parse(function, "x"), span[0], span[1], CHORD_ERROR * (span[1] - span[0]))
 
 
-def _grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
-    """The background grid of a body."""
+def background_grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
+    """The background grid of a body, before its nodes are relocated."""
     grid = case.grid_of(name)
     if isinstance(grid, CartesianGrid):
         boxes = np.array([region.box for region in regions])

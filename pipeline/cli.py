@@ -1,4 +1,4 @@
-"""The command line: ``phantomnode run | batch | check | cases | new | report | schema``.
+"""The command line: ``phantomnode run | batch | check | cases | new | report | plot | animate | schema``.
 
 Everything heavy is imported inside the commands, so that ``--help`` answers at once.
 """
@@ -6,10 +6,8 @@ Everything heavy is imported inside the commands, so that ``--help`` answers at 
 from __future__ import annotations
 
 import os
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -17,14 +15,13 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 import phantomnode
+from phantomnode.pipeline.cli_pictures import animate, plot
+from phantomnode.pipeline.console import DONE, INTERRUPTED, SOME_FAILED, STOPPED, guarded
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from phantomnode.pipeline.schema import Case
-
-DONE, INPUT_AT_FAULT, STOPPED, SOME_FAILED, INTERRUPTED = 0, 2, 3, 4, 130
-"""Exit codes: done; the input is at fault; stopped by a guard; some cases of a batch failed; interrupted."""
 
 RESULTS = Path("results")
 
@@ -134,7 +131,7 @@ def run(
         codes = {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}
         return max(codes[summary.status] for summary in summaries)
 
-    return _guarded(command)
+    return guarded(command)
 
 
 @app.command
@@ -192,7 +189,7 @@ def batch(
         )  # fmt: skip
         return {"done": DONE, "failed": SOME_FAILED, "interrupted": INTERRUPTED}[ended.status]
 
-    return _guarded(command)
+    return guarded(command)
 
 
 @app.command
@@ -224,7 +221,7 @@ def check(
         check_case(loaded, out or RESULTS / loaded.name, console=console)
         return DONE
 
-    return _guarded(command)
+    return guarded(command)
 
 
 @app.command
@@ -244,7 +241,7 @@ def cases() -> int:
         console.print(f"\nRun one: phantomnode run {next(iter(found))}", highlight=False)
         return DONE
 
-    return _guarded(command)
+    return guarded(command)
 
 
 @app.command
@@ -272,7 +269,7 @@ def new(
         console.print(f"Run it:  phantomnode run {quote(name)}", highlight=False, soft_wrap=True)
         return DONE
 
-    return _guarded(command)
+    return guarded(command)
 
 
 @app.command
@@ -301,7 +298,11 @@ def report(
             console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
         return DONE
 
-    return _guarded(command)
+    return guarded(command)
+
+
+app.command(plot)
+app.command(animate)
 
 
 @app.command
@@ -395,36 +396,6 @@ def folder_to_resume(case: Case, out: Path | None, source: Path) -> Path:
 def _numbered(case: Case) -> Iterator[Path]:
     """results/NAME, results/NAME-2, ..."""
     return (RESULTS / (case.name if number == 1 else f"{case.name}-{number}") for number in count(1))
-
-
-def _guarded(command: Callable[[Console], int]) -> int:
-    """Run a command; faults of the input end as a message and an exit code, not as a traceback."""
-    from rich.console import Console
-
-    from phantomnode.geometry.errors import GeometryError
-    from phantomnode.pipeline.errors import CaseError
-
-    _let_terminate()
-    try:
-        return command(Console())
-    except (CaseError, GeometryError, OSError) as error:
-        if os.environ.get("PHANTOMNODE_DEBUG"):
-            raise
-        messages = error.messages if isinstance(error, CaseError) else (str(error),)
-        stderr = Console(stderr=True, highlight=False, soft_wrap=True)
-        for message in messages:
-            stderr.print("[bold red]error:[/]", end=" ")
-            stderr.print(message, markup=False)
-        return INPUT_AT_FAULT
-    except KeyboardInterrupt:
-        Console(stderr=True).print("interrupted")
-        return INTERRUPTED
-
-
-def _let_terminate() -> None:
-    """SIGTERM ends a command as Ctrl-C does; a run that is under way looks at both itself."""
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def main() -> None:

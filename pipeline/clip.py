@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.geometry.bilinear import shape, to_local
+from phantomnode.pipeline.outlines import open_edges
 from phantomnode.pipeline.prepare import Body, Prepared
 
 Floats = NDArray[np.float64]
@@ -103,12 +104,7 @@ class ClippedBodies:
 
     def outline(self) -> Ints:
         """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces."""
-        rings = [self.quads, self.triangles]
-        ends = np.concatenate(
-            [np.stack([ring, np.roll(ring, -1, axis=1)], -1).reshape(-1, 2) for ring in rings]
-        )
-        _, first, count = np.unique(np.sort(ends, axis=1), axis=0, return_index=True, return_counts=True)
-        return np.asarray(ends[first[count == 1]])
+        return open_edges([self.quads, self.triangles])
 
 
 def _triangle_corners(bodies: tuple[Body, ...]) -> tuple[Ints, Floats, Floats]:

@@ -185,7 +185,7 @@ def _draw(name: str, runs: Mapping[str, Path], path: Path) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from phantomnode.pipeline.preview import save
+    from phantomnode.pipeline.drawing import save
 
     found = {label: folder / f"{name}.csv" for label, folder in runs.items()}
     curves = {label: read_profile(file) for label, file in found.items() if file.exists()}

@@ -2,7 +2,7 @@
 
 The names below load on first use, so that ``import phantomnode`` costs nothing:
 
-``load_case(path)``, ``prepare(case)``, ``run(case, out)`` and ``read_geometry(path)``.
+``load_case(path)``, ``prepare(case)``, ``run(case, out)``, ``open_results(folder)`` and ``read_geometry(path)``.
 """
 
 from importlib import import_module
@@ -18,9 +18,10 @@ _HOME = {
     "load_case": "phantomnode.pipeline.case",
     "prepare": "phantomnode.pipeline.prepare",
     "run": "phantomnode.pipeline.run",
+    "open_results": "phantomnode.pipeline.results",
     "read_geometry": "phantomnode.geometry.readers",
 }
-__all__ = ["__version__", "load_case", "prepare", "read_geometry", "run"]
+__all__ = ["__version__", "load_case", "open_results", "prepare", "read_geometry", "run"]
 
 
 def __getattr__(name: str) -> Any:

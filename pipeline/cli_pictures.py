@@ -1,0 +1,122 @@
+"""The commands that draw: ``phantomnode plot | animate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from phantomnode.pipeline.console import DONE, guarded
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+Folder = Annotated[Path, Parameter(name="DIR", help="The results folder of a run.")]
+Limits = Annotated[
+    tuple[float, float] | None,
+    Parameter(name="--range", help="Values at the ends of the colour bar, SI, as in --range 0 5e8."),
+]
+Zoom = Annotated[
+    tuple[float, float, float, float] | None,
+    Parameter(help="What is shown: lower left and upper right corner, x0 y0 x1 y1 in m."),
+]
+
+
+def plot(
+    folder: Folder,
+    /,
+    *,
+    what: Annotated[
+        tuple[str, ...],
+        Parameter(
+            consume_multiple=True,
+            negative=(),
+            help="Pictures: fields (von_mises, J, stress_xx, stress_yy, stress_zz, stress_xy, mean_stress, "
+            "principal_max, principal_min, strain_xx, strain_yy, strain_xy, displacement, velocity, each of these "
+            "two with _x or _y), contact_pressure over arc length, histories (energies, forces, reactions, motion, "
+            "quality, or any column of history.csv), level_set (with grid and relocated nodes), nodes (fragments, "
+            "real and phantom nodes).",
+        ),
+    ] = ("von_mises",),
+    time: Annotated[
+        tuple[str, ...],
+        Parameter(
+            consume_multiple=True,
+            negative=(),
+            help='Of fields and contact_pressure: "4.5 ms" or 0.0045, start, peak (of the internal energy), end; '
+            "several give a picture of a field each, and curves of the pressure in one. The nearest frame is drawn.",
+        ),
+    ] = ("peak",),
+    out: Annotated[
+        Path | None,
+        Parameter(help="A file that ends in .png, .svg or .pdf, or a folder; that of the run unless given."),
+    ] = None,
+    pair: Annotated[str | None, Parameter(help="The contact pair; the first unless given.")] = None,
+    range_: Limits = None,
+    zoom: Zoom = None,
+) -> int:
+    """Draw pictures of a run: fields, contact pressure, histories, level sets, nodes.
+
+    For example:
+
+    ```
+    phantomnode plot results/ring_impact
+    phantomnode plot results/ring_impact --what stress_yy --time "4.5 ms" --out stress.svg
+    phantomnode plot results/ring_impact --what energies forces contact_pressure
+    phantomnode plot results/ring_impact --what nodes --zoom 0.4 0.4 0.6 0.6
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.plot import parse_time, plot_files
+        from phantomnode.pipeline.results import open_results
+
+        times = [parse_time(text) for text in time]
+        written = plot_files(open_results(folder), what, times, out, pair=pair, limits=range_, box=zoom)
+        for path, note in written:
+            if note:
+                console.print(note, soft_wrap=True, highlight=False, markup=False)
+            console.print(f"picture   {path}", soft_wrap=True, highlight=False, markup=False)
+        return DONE
+
+    return guarded(command)
+
+
+def animate(
+    folder: Folder,
+    /,
+    *,
+    what: Annotated[str, Parameter(help="The field, as for plot.")] = "von_mises",
+    out: Annotated[
+        Path | None,
+        Parameter(
+            help="The file, .gif or .mp4 (which needs ffmpeg); animation.WHAT.gif in the folder unless given."
+        ),
+    ] = None,
+    fps: Annotated[int, Parameter(help="Frames a second.")] = 15,
+    width: Annotated[int, Parameter(help="Of the film, in pixels.")] = 800,
+    range_: Limits = None,
+    zoom: Zoom = None,
+) -> int:
+    """Make a film of a field over all frames of a run, as GIF or MP4.
+
+    For example:
+
+    ```
+    phantomnode animate results/ring_impact
+    phantomnode animate results/ring_impact --what velocity --out ring.mp4 --fps 25
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.film import write_film
+        from phantomnode.pipeline.results import open_results
+
+        film = write_film(
+            open_results(folder), what, out, fps=fps, width=width, limits=range_, box=zoom, console=console
+        )
+        console.print(f"film      {film}", soft_wrap=True, highlight=False, markup=False)
+        return DONE
+
+    return guarded(command)

@@ -1,0 +1,205 @@
+"""Curves: contact pressure along a surface, energies, forces and motion over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.pipeline.drawing import moment, new_figure, readable
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.messages import listed, suggestion
+from phantomnode.pipeline.results import History, Results, Surface, Time
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+Curves = Mapping[str, Floats]
+
+BESIDE = 0.15
+"""Of the length of the touched stretch of a surface, shown on either side of it."""
+ENERGIES = {
+    "kinetic": "kinetic",
+    "internal": "internal",
+    "hourglass": "hourglass",
+    "contact": "contact (springs)",
+    "friction": "dissipated by friction",
+    "damping": "dissipated by damping",
+    "external_work": "external work",
+}
+HISTORIES = ("energies", "forces", "reactions", "motion", "quality")
+"""The pictures of histories; any column of history.csv is one too."""
+
+
+def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
+    """Contact pressure over the arc length of the undeformed slave surface of a pair, a curve for each time.
+
+    The line is the pressure through the hat filter; pale behind it that of each segment.
+    """
+    along, number = results.surface(pair), results.pairs.index(pair)
+    frames = [results.contact(time) for time in times]
+    raw = [frame.of_pair(number, "pressure")[along.order] for frame in frames]
+    smooth = [frame.of_pair(number, "pressure_filtered")[along.order] for frame in frames]
+    along, order = _unrolled(along, np.max([*raw, *smooth], axis=0) > 0.0)
+    arc_factor, arc_unit = readable(along.length, "m")
+    factor, unit = readable(np.array(smooth), "Pa")
+
+    figure = new_figure(8.0, 4.5)
+    axes = figure.add_subplot()
+    breaks = np.flatnonzero(np.diff(along.chain)) + 1
+    x = np.insert(along.arc * arc_factor, breaks, np.nan)
+    for frame, rough, fine in zip(frames, raw, smooth, strict=True):
+        (line,) = axes.plot(
+            x, np.insert(fine[order] * factor, breaks, np.nan), lw=1.6, label=f"t = {moment(frame.time)}"
+        )
+        axes.plot(
+            x, np.insert(rough[order] * factor, breaks, np.nan), lw=0.7, alpha=0.4, color=line.get_color()
+        )
+    _zoom_to_touch(axes, x, np.insert(np.max([*raw, *smooth], axis=0)[order], breaks, 0.0))
+    axes.set_ylim(bottom=0.0)
+    from_where = " from ({:.4g}, {:.4g}) m".format(*along.start)
+    axes.set_xlabel(f"arc length along the undeformed surface{from_where}, {arc_unit}")
+    axes.set_ylabel(f"contact pressure, {unit}")
+    slave = results.table["contact"][pair]["slave"]
+    axes.set_title(
+        f"{results.title}: {pair} on {slave}\nline: through the hat filter, pale: of each segment",
+        fontsize=10,
+    )
+    axes.legend(frameon=False, fontsize=9)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+def _unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.int64]]:
+    """A closed surface cut open in the middle of its longest stretch without contact, and its new order.
+
+    ``touched`` (k,) tells of each segment along the surface whether it ever bears.
+    """
+    order = np.arange(len(along.arc))
+    on = np.flatnonzero(touched)
+    if not along.closed or along.chain[-1] > 0 or len(on) == 0:
+        return along, order
+    gaps = np.mod(np.diff(along.arc[np.append(on, on[0])]), along.length)
+    gaps[gaps == 0.0] = along.length
+    widest = int(np.argmax(gaps))
+    seam = np.mod(along.arc[on[widest]] + 0.5 * gaps[widest], along.length)
+    arc = np.mod(along.arc - seam, along.length)
+    order = np.argsort(arc)
+    return along._replace(arc=arc[order], start=_place_at(along, seam)), order
+
+
+def _place_at(along: Surface, arc: float) -> Floats:
+    """(2,) The undeformed place at an arc length of a closed surface, m."""
+    corners = np.vstack([along.ends[:, 0], along.ends[-1:, 1]])
+    until = np.concatenate([[0.0], np.cumsum(np.hypot(*(along.ends[:, 1] - along.ends[:, 0]).T))])
+    return np.array([np.interp(arc, until, corners[:, axis]) for axis in (0, 1)])
+
+
+def _zoom_to_touch(axes: Axes, x: Floats, pressure: Floats) -> None:
+    """Show the stretch of the surface that bears, where it is a small part of it."""
+    on = x[pressure > 0.0]
+    if len(on):
+        low, high = float(on.min()), float(on.max())
+        space = max(BESIDE * (high - low), 0.01 * float(np.nanmax(x)))
+        axes.set_xlim(max(low - space, 0.0), min(high + space, float(np.nanmax(x))))
+
+
+def draw_history(results: Results, what: str) -> Figure:
+    """Curves over time: one of ``HISTORIES``, or a column of history.csv.
+
+    Raises
+    ------
+    CaseError
+        Naming what there is.
+    """
+    history = results.history
+    panels = _panels(results, what)
+    figure = new_figure(8.0, 1.2 + 3.2 * len(panels))
+    factor, unit = readable(float(history.time[-1]), "s")
+    column = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, (label, si, curves) in zip(column, panels, strict=True):
+        scale, shown = readable(np.concatenate(list(curves.values())), si)
+        for name, values in curves.items():
+            axes.plot(history.time * factor, values * scale, lw=1.2, label=name)
+        axes.set_ylabel(f"{label}, {shown}" if shown else label)
+        axes.grid(alpha=0.3)
+        axes.legend(frameon=False, fontsize=8, ncols=2 if len(curves) > 3 else 1)
+    column[-1].set_xlabel(f"time, {unit}")
+    column[0].set_title(results.title, fontsize=10)
+    return figure
+
+
+def _panels(results: Results, what: str) -> list[tuple[str, str, Curves]]:
+    """Label, SI unit and curves of each panel of a picture."""
+    history = results.history
+    if what == "energies":
+        return [("energy", "J/m", energies(history))]
+    if what == "forces":
+        return [("contact force on the slave", "N/m", _components(history, "contact", "f", results))]
+    if what == "reactions":
+        return [("force of the boundary on its body", "N/m", _components(history, "reaction", "f", results))]
+    if what == "motion":
+        return [
+            ("displacement of the centre of mass", "m", _components(history, "body", "u", results)),
+            ("velocity of the centre of mass", "m/s", _components(history, "body", "v", results)),
+        ]
+    if what == "quality":
+        return [
+            ("energy error over the largest energy", "", {"energy error": history["energy_error"]}),
+            ("smallest J", "", {"smallest J": history["smallest_j"]}),
+            ("stable step over the step taken", "", _steps(results)),
+        ]
+    if what in history:
+        return [(what, _unit(what), {what: history[what]})]
+    known = (*HISTORIES, *history)
+    raise CaseError(f"{what!r} is no history{suggestion(what, known)}; there are: {listed(known)}")
+
+
+def energies(history: History) -> dict[str, Floats]:
+    """Energies that are not zero throughout, and their balance, J/m."""
+    curves = {label: history[name] for name, label in ENERGIES.items() if np.any(history[name])}
+    stored = ("kinetic", "internal", "hourglass", "contact", "friction", "damping")
+    curves["sum less external work"] = (
+        np.sum([history[name] for name in stored], axis=0) - history["external_work"]
+    )
+    return curves
+
+
+def _steps(results: Results) -> Curves:
+    """The stable step of the deformed state over the step that the run takes."""
+    stable = results.history["stable_step"]
+    step = results.summary.get("dt")
+    if step is None:
+        raise CaseError(f"{results.path}: the run has not ended (no summary.json); its step is not known yet")
+    return {"of the deformed state, nothing kept for safety": stable / step}
+
+
+def _components(history: History, kind: str, letter: str, results: Results) -> dict[str, Floats]:
+    """The x and y columns of a kind of thing, by readable labels.
+
+    Raises
+    ------
+    CaseError
+        Where the run has none.
+    """
+    names = [name for name in history.names(f"{kind}.") if name.endswith((f".{letter}x", f".{letter}y"))]
+    if not names:
+        missing = {"contact": "contact pairs", "reaction": "boundaries", "body": "bodies"}[kind]
+        raise CaseError(f"{results.path}: the case has no {missing}")
+    return {f"{name.split('.')[1]}, {name[-1]}": history[name] for name in names}
+
+
+def _unit(column: str) -> str:
+    """The SI unit of a column of history.csv."""
+    if column in (*ENERGIES,):
+        return "J/m"
+    if column in ("time", "stable_step"):
+        return "s"
+    kind, _, value = column.rpartition(".")
+    if kind.startswith("body."):
+        return {"u": "m", "v": "m/s", "c": "m", "p": "kg/s", "l": "kg m/s"}[value[0]]
+    return {"f": "N/m", "t": "N/m", "i": "N s/m"}.get(value[0], "") if kind else ""

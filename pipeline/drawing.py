@@ -1,0 +1,128 @@
+"""What all pictures are made of: figures, cells, lines, colour bars, numbers with units, files."""
+
+from __future__ import annotations
+
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.files import write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+BODY_COLOURS = ("#8fb3d9", "#e3b57a", "#9cc7a0", "#c9a3cf", "#d99a96", "#b5b5b5")
+CUT, SLAVE, MASTER, PHANTOM, HELD = "#f2c14e", "#c0392b", "#1f4e9e", "#7d3c98", "#111111"
+DPI = 160
+FORMATS = ("png", "svg", "pdf")
+MANY = 5000
+"""Cells above this number become pixels within an SVG or PDF, which would be slow to open otherwise."""
+
+PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+PREFIXED = ("Pa", "m", "s", "N/m", "J/m")
+"""Units that take a prefix; metres per second and pure numbers do not."""
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure of so many inches, drawn without a screen; notebooks show it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def map_figure(box: Floats, width: float = 9.0, pictures: int = 1) -> tuple[Figure, list[Axes]]:
+    """A figure with equal axes in metres for a (2, 2) box, lower left and upper right; several side by side."""
+    across, up = np.maximum(box[1] - box[0], 1e-12 * np.abs(box).max() + 1e-300)
+    tall = float(np.clip(0.9 * width / pictures * up / across, 3.0, 12.0))
+    figure = new_figure(width, tall + 1.2)
+    row = list(figure.subplots(1, pictures, squeeze=False)[0])
+    for axes in row:
+        equal_axes(axes)
+    return figure, row
+
+
+def equal_axes(axes: Axes) -> None:
+    """Label the axes in metres, at one scale."""
+    axes.set_aspect("equal")
+    axes.set_xlabel("x, m")
+    axes.set_ylabel("y, m")
+
+
+def box_of(points: Floats) -> Floats:
+    """(2, 2) Lower left and upper right corner of (n, 2) points."""
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def fill(axes: Axes, polygons: Floats, **style: Any) -> Any:
+    """Filled polygons, (m, k, 2); thin edges of their own colour close the seams between them."""
+    from matplotlib.collections import PolyCollection
+
+    collection = PolyCollection(list(polygons), **({"linewidths": 0.3} | style))
+    collection.set_rasterized(len(polygons) > MANY)
+    axes.add_collection(collection)
+    axes.autoscale_view()
+    return collection
+
+
+def lines(axes: Axes, ends: Floats, **style: Any) -> Any:
+    """Straight lines, (m, 2, 2)."""
+    from matplotlib.collections import LineCollection
+
+    collection = LineCollection(list(ends), **style)
+    collection.set_rasterized(len(ends) > MANY)
+    axes.add_collection(collection)
+    axes.autoscale_view()
+    return collection
+
+
+def marks(axes: Axes, points: Floats, marker: str, colour: str, size: float, label: str) -> None:
+    """Marks on (k, 2) points."""
+    axes.plot(*points.T, marker, color=colour, ms=size, mew=0, label=label, zorder=4)
+
+
+def readable(values: NDArray[np.floating[Any]] | float, unit: str) -> tuple[float, str]:
+    """A factor and a unit in which the largest of some values is between 1 and 1000: 1e-6 and "MPa"."""
+    size = np.abs(np.asarray(values, dtype=np.float64))
+    finite = size[np.isfinite(size)]
+    largest = float(finite.max()) if finite.size else 0.0
+    if unit not in PREFIXED or largest == 0.0:
+        return 1.0, unit
+    scale, prefix = next((p for p in PREFIXES if largest >= p[0] * (1.0 - 1e-9)), PREFIXES[-1])
+    return 1.0 / scale, prefix + unit
+
+
+def moment(time: float) -> str:
+    """A time for people to read: "4.5 ms"."""
+    factor, unit = readable(time, "s")
+    return f"{time * factor:.4g} {unit}"
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write the picture in one step, as PNG, SVG or PDF by the ending of its name.
+
+    Raises
+    ------
+    CaseError
+        Where the ending is none of these.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in FORMATS:
+        raise CaseError(f"{path}: pictures end in {', '.join('.' + name for name in FORMATS)}")
+    from matplotlib import rc_context
+
+    # The same picture is the same bytes: no date, no random names.
+    dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+    content = BytesIO()
+    with rc_context({"svg.hashsalt": "phantomnode"}):
+        figure.savefig(content, format=kind, bbox_inches="tight", metadata=dates.get(kind))
+    write_atomically(path, content.getvalue())

@@ -1,0 +1,133 @@
+"""Pictures of the bodies: a field on the deformed, clipped material over the undeformed outline."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.pipeline.drawing import box_of, fill, lines, map_figure, moment, readable
+from phantomnode.pipeline.frames import FieldsFrame
+from phantomnode.pipeline.quantities import Quantity, quantity
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Floats = NDArray[np.float64]
+
+OUTLIERS = 0.002
+"""The colours span all but this share of the cells, so that single cells at corners do not pale the others."""
+MARGIN = 0.05
+"""Of the size of the bodies, about them."""
+MAPS = {"magnitude": "turbo", "signed": "RdBu_r", "ratio": "RdBu_r"}
+
+
+class Limits(NamedTuple):
+    """The values, SI, at the ends of the colour bar."""
+
+    low: float
+    high: float
+
+
+def limits_of(values: Floats, what: Quantity) -> Limits:
+    """The span of the colours for some values: from zero, about zero or about one."""
+    tiny = float(np.finfo(np.float32).tiny)
+    if what.kind == "magnitude":
+        return Limits(0.0, max(float(np.quantile(values, 1.0 - OUTLIERS)), tiny))
+    centre = 1.0 if what.kind == "ratio" else 0.0
+    reach = max(float(np.quantile(np.abs(values - centre), 1.0 - OUTLIERS)), 1e-12 if centre else tiny)
+    return Limits(centre - reach, centre + reach)
+
+
+def view_box(*frames: FieldsFrame) -> Floats:
+    """(2, 2) A box that holds the bodies as they were and as they are in some frames, with a margin."""
+    box = box_of(np.concatenate([points for f in frames for points in (f.reference, f.points)]))
+    space = MARGIN * float(np.max(box[1] - box[0]))
+    return np.asarray(box + np.array([[-space], [space]]))
+
+
+class FieldPicture:
+    """A field on the bodies; :meth:`show` goes on to another frame.
+
+    Parameters
+    ----------
+    frame : FieldsFrame
+    name : str
+        Of the field, a key of ``quantities.QUANTITIES``.
+    title : str
+        The time stands behind it.
+    limits : Limits, optional
+        Of the colours; from the frame unless given.
+    box : (2, 2) float64, m, optional
+        Lower left and upper right corner of what is shown; all of the bodies, then and now, unless given.
+    outlines : bool
+        Draw the undeformed outline.
+
+    Attributes
+    ----------
+    figure : matplotlib Figure
+    """
+
+    def __init__(
+        self,
+        frame: FieldsFrame,
+        name: str,
+        title: str = "",
+        *,
+        limits: Limits | None = None,
+        box: Floats | None = None,
+        outlines: bool = True,
+        width: float = 9.0,
+    ) -> None:
+        self._what, self._title = quantity(name), title
+        values = self._what.values(frame)
+        limits = limits or limits_of(values, self._what)
+        self._factor, unit = readable(np.array(limits), self._what.unit)
+        box = view_box(frame) if box is None else box
+        self.figure, (axes,) = map_figure(box, width)
+        style = {"cmap": MAPS[self._what.kind], "clim": tuple(self._factor * value for value in limits)}
+        self._cells = [
+            fill(axes, shapes, array=part, edgecolor="face", **style)
+            for shapes, part in self._shapes(frame, values)
+        ]
+        if outlines:
+            lines(axes, frame.reference[frame.outline], color="0.65", linewidths=0.6, linestyles="--")
+        self._rim = lines(axes, frame.points[frame.outline], color="black", linewidths=0.6)
+        label = f"{self._what.label}, {unit}" if unit else self._what.label
+        self.figure.colorbar(self._cells[0], ax=axes, label=label, shrink=0.8, extend=_extend(values, limits))
+        axes.set(xlim=box[:, 0], ylim=box[:, 1])
+        self._axes = axes
+        self._axes.set_title(self._heading(frame), fontsize=10)
+
+    def show(self, frame: FieldsFrame) -> None:
+        """Draw another frame of the same bodies in its place."""
+        for cells, (shapes, part) in zip(
+            self._cells, self._shapes(frame, self._what.values(frame)), strict=True
+        ):
+            cells.set_verts(list(shapes))
+            cells.set_array(part)
+        self._rim.set_segments(list(frame.points[frame.outline]))
+        self._axes.set_title(self._heading(frame), fontsize=10)
+
+    def _shapes(self, frame: FieldsFrame, values: Floats) -> list[tuple[Floats, Floats]]:
+        """Corners and shown values of quadrilaterals and of triangles."""
+        shown, whole = self._factor * values, len(frame.quads)
+        return [
+            (frame.points[frame.quads], shown[:whole]),
+            (frame.points[frame.triangles], shown[whole:]),
+        ]
+
+    def _heading(self, frame: FieldsFrame) -> str:
+        return f"{self._title}, t = {moment(frame.time)}".removeprefix(", ")
+
+
+def draw_field(frame: FieldsFrame, name: str, title: str = "", **options: Any) -> Figure:
+    """A picture of a field; the options are those of :class:`FieldPicture`."""
+    return FieldPicture(frame, name, title, **options).figure
+
+
+def _extend(values: Floats, limits: Limits) -> str:
+    """Which ends of the colour bar have an arrow: where values lie beyond."""
+    below, above = bool(values.min() < limits.low), bool(values.max() > limits.high)
+    return {(0, 0): "neither", (0, 1): "max", (1, 0): "min", (1, 1): "both"}[below, above]

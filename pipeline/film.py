@@ -1,0 +1,137 @@
+"""Films of a run: a field over all frames, as GIF (by Pillow) or MP4 (by ffmpeg)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phantomnode.pipeline.drawing import DPI
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.field_pictures import FieldPicture, Limits, limits_of, view_box
+from phantomnode.pipeline.quantities import quantity
+from phantomnode.pipeline.results import Results
+
+if TYPE_CHECKING:
+    from matplotlib.animation import AbstractMovieWriter
+    from rich.console import Console
+
+WIDTHS = (100, 4000)
+"""Least and most pixels of a film."""
+
+
+def write_film(
+    results: Results,
+    what: str = "von_mises",
+    out: Path | None = None,
+    *,
+    fps: int = 15,
+    width: int = 800,
+    limits: tuple[float, float] | None = None,
+    box: Sequence[float] | None = None,
+    console: Console | None = None,
+) -> Path:
+    """Write a film; colours and axes are the same in all its frames.
+
+    Parameters
+    ----------
+    results : Results
+    what : str
+        A field, a key of ``quantities.QUANTITIES``.
+    out : Path, optional
+        Ending in .gif or .mp4; ``animation.WHAT.gif`` in the folder of the run unless given.
+    fps : int
+        Frames a second.
+    width : int
+        Pixels.
+    limits : (float, float), SI, optional
+        Of the colours; those of all frames unless given.
+    box : (x0, y0, x1, y1), m, optional
+    console : rich Console, optional
+        Where to show the progress.
+
+    Returns
+    -------
+    Path
+
+    Raises
+    ------
+    CaseError
+        Where the field, the ending or a number cannot be, or MP4 is asked for without ffmpeg.
+    """
+    path = out or results.path / f"animation.{what}.gif"
+    if not 1 <= fps <= 100:
+        raise CaseError(f"--fps {fps}: must lie between 1 and 100")
+    if not WIDTHS[0] <= width <= WIDTHS[1]:
+        raise CaseError(f"--width {width}: must lie between {WIDTHS[0]} and {WIDTHS[1]} pixels")
+    field, writer = quantity(what), _writer(path, fps)
+    frames = list(results.frames())
+    if not frames:
+        raise CaseError(f"{results.path}: no frame is written yet")
+    if limits is None:
+        spans = np.array([limits_of(field.values(frame), field) for frame in frames])
+        limits = (float(spans[:, 0].min()), float(spans[:, 1].max()))
+    corners = view_box(*frames) if box is None else np.array(box, dtype=np.float64).reshape(2, 2)
+    picture = FieldPicture(frames[0], what, results.title, limits=Limits(*limits), box=corners)
+    _even(picture, width)
+    picture.figure.canvas.draw()
+    picture.figure.set_layout_engine("none")  # as it is now, in all frames
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        with writer.saving(picture.figure, part, picture.figure.dpi):
+            for frame in frames:
+                picture.show(frame)
+                writer.grab_frame()
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+    return path
+
+
+def _even(picture: FieldPicture, width: int) -> None:
+    """Set the resolution such that the film has so many pixels across, an even number each way for MP4."""
+    figure = picture.figure
+    figure.set_dpi(DPI)
+    across, up = figure.get_size_inches()
+    dpi = width / across
+    pixels = 2 * np.round(0.5 * dpi * np.array([across, up]))
+    figure.set_dpi(dpi)
+    figure.set_size_inches(*(pixels + 0.01) / dpi)
+
+
+def _writer(path: Path, fps: int) -> AbstractMovieWriter:
+    """What writes a film of this kind.
+
+    Raises
+    ------
+    CaseError
+        Where the ending is of no film, or ffmpeg is missing.
+    """
+    import matplotlib
+    from matplotlib.animation import FFMpegWriter, PillowWriter
+
+    kind = path.suffix.lower()
+    if kind == ".gif":
+        return PillowWriter(fps=fps)
+    if kind != ".mp4":
+        raise CaseError(f"--out {path}: films end in .gif or .mp4")
+    matplotlib.rcParams["animation.ffmpeg_path"] = _ffmpeg()
+    return FFMpegWriter(fps=fps, codec="libx264", extra_args=["-pix_fmt", "yuv420p", "-crf", "20"])
+
+
+def _ffmpeg() -> str:
+    """The program ffmpeg: that of the system, or of imageio-ffmpeg."""
+    if found := shutil.which("ffmpeg"):
+        return found
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+    except ImportError:
+        raise CaseError(
+            'an MP4 needs ffmpeg, which is not found: pip install "phantomnode[film]", or write a .gif'
+        ) from None
+    return str(get_ffmpeg_exe())

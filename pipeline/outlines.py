@@ -1,0 +1,85 @@
+"""Edges and segments put in order: the rim of some cells, the chains that segments make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+TOUCH = 1e-6
+"""Ends nearer to each other than this part of the size of all segments are one place: files hold float32."""
+
+CANDIDATES = 4
+"""Segments that are looked at where one ends: both faces of a crack, and those of a second one beside it."""
+
+
+def open_edges(rings: Sequence[Ints]) -> Ints:
+    """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces.
+
+    Parameters
+    ----------
+    rings : sequence of (m, k) int64
+        Points of cells of k corners, in their order around the cell.
+    """
+    sides = [np.stack([ring, np.roll(ring, -1, axis=1)], axis=-1).reshape(-1, 2) for ring in rings]
+    edges = np.concatenate(sides)
+    _, first, count = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
+    return np.asarray(edges[first[count == 1]])
+
+
+class Chain(NamedTuple):
+    """Segments that follow each other.
+
+    order : (k,) int64, their numbers along the chain; closed : whether the last one meets the first.
+    """
+
+    order: Ints
+    closed: bool
+
+
+def chains(ends: Floats) -> list[Chain]:
+    """The chains of directed segments, the longest first; a segment follows the one at whose end it begins.
+
+    Parameters
+    ----------
+    ends : (s, 2, 2) float64, m
+        Start and end of each segment.
+    """
+    if len(ends) == 0:
+        return []
+    following = _following(ends)
+    begins = np.ones(len(ends), dtype=bool)
+    begins[following[following >= 0]] = False
+    left = np.ones(len(ends), dtype=bool)
+    found = []
+    for first in (*np.flatnonzero(begins), *range(len(ends))):
+        order, here = [], int(first)
+        while here >= 0 and left[here]:
+            left[here] = False
+            order.append(here)
+            here = int(following[here])
+        if order:
+            found.append(Chain(np.array(order), here == order[0]))
+    return sorted(found, key=lambda chain: -len(chain.order))
+
+
+def _following(ends: Floats) -> Ints:
+    """(s,) The segment that begins where each one ends, -1 where there is none.
+
+    Two faces of a crack stand on the same place: of several segments the one that turns least goes on.
+    """
+    count = min(CANDIDATES, len(ends))
+    reach = TOUCH * float(np.ptp(ends.reshape(-1, 2), axis=0).max())
+    distance, near = cKDTree(ends[:, 0]).query(ends[:, 1], k=np.arange(1, count + 1))
+    along = ends[:, 1] - ends[:, 0]
+    unit = along / np.maximum(np.hypot(*along.T), np.finfo(np.float64).tiny)[:, None]
+    straight = np.where(distance <= reach, np.einsum("sk,snk->sn", unit, unit[near]), -np.inf)
+    best = np.argmax(straight, axis=1)
+    rows = np.arange(len(ends))
+    return np.where(np.isfinite(straight[rows, best]), near[rows, best], -1)

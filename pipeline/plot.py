@@ -1,0 +1,164 @@
+"""``phantomnode plot`` and ``animate``: which picture is meant, and the files that they become."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from phantomnode.pipeline.curve_pictures import HISTORIES, draw_history, draw_pressure
+from phantomnode.pipeline.drawing import FORMATS, moment, save
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.field_pictures import Limits, draw_field
+from phantomnode.pipeline.messages import listed, suggestion
+from phantomnode.pipeline.quantities import QUANTITIES
+from phantomnode.pipeline.results import NAMED, Results, Time
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+PRESSURE, LEVEL_SET, NODES = "contact_pressure", "level_set", "nodes"
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+NEAR = 1e-6
+"""A frame within this part of the run of the time that was asked for is that time."""
+
+
+def picture(
+    results: Results,
+    what: str,
+    times: Sequence[Time] = ("peak",),
+    *,
+    pair: str | None = None,
+    limits: tuple[float, float] | None = None,
+    box: Sequence[float] | None = None,
+) -> Figure:
+    """One picture of a run; of fields at the first of the times.
+
+    Parameters
+    ----------
+    results : Results
+    what : str
+        A field, ``contact_pressure``, one of ``HISTORIES``, a column of history.csv, ``level_set`` or ``nodes``.
+    times : sequence of float, s, or "start", "peak", "end"
+    pair : str, optional
+        The contact pair, where there are several; the first unless given.
+    limits : (float, float), SI, optional
+        Of the colours of a field.
+    box : (x0, y0, x1, y1), m, optional
+        What is shown of the bodies.
+
+    Raises
+    ------
+    CaseError
+        Naming the pictures that there are.
+    """
+    corners = None if box is None else np.array(box, dtype=np.float64).reshape(2, 2)
+    if what in QUANTITIES:
+        span = None if limits is None else Limits(*limits)
+        return draw_field(results.frame(times[0]), what, results.title, limits=span, box=corners)
+    if what == PRESSURE:
+        if not results.pairs:
+            raise CaseError(f"{results.path}: the case has no contact pair")
+        return draw_pressure(results, pair or results.pairs[0], times)
+    if what in (LEVEL_SET, NODES):
+        from phantomnode.pipeline.mesh_pictures import draw_level_sets, draw_nodes
+
+        draw = draw_level_sets if what == LEVEL_SET else draw_nodes
+        return draw(results.prepared, results.title, corners)
+    if what in HISTORIES or what in results.history:
+        return draw_history(results, what)
+    known = (*QUANTITIES, PRESSURE, *HISTORIES, LEVEL_SET, NODES)
+    raise CaseError(
+        f"--what {what}: is no picture{suggestion(what, (*known, *results.history))}; there are: {listed(known)}, "
+        "and the columns of history.csv"
+    )
+
+
+def plot_files(
+    results: Results,
+    what: Sequence[str],
+    times: Sequence[Time],
+    out: Path | None,
+    *,
+    pair: str | None = None,
+    limits: tuple[float, float] | None = None,
+    box: Sequence[float] | None = None,
+) -> list[tuple[Path, str]]:
+    """Write pictures of a run.
+
+    Parameters
+    ----------
+    out : Path, optional
+        A file, where it ends in .png, .svg or .pdf (numbered where there are several pictures), else a folder; that
+        of the run unless given.
+
+    Returns
+    -------
+    list of (Path, str)
+        The files, and what is to be said of each: the time of a frame that is not the one asked for.
+
+    Raises
+    ------
+    CaseError
+        Where something asked for does not exist.
+    """
+    written = []
+    wanted = [(one, [time]) for one in what if one in QUANTITIES for time in times]
+    wanted += [(one, list(times)) for one in what if one not in QUANTITIES]
+    for number, (one, at) in enumerate(wanted):
+        path = _path_of(results, one, at, out, number, len(wanted))
+        figure = picture(results, one, at, pair=pair, limits=limits, box=box)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(figure, path)
+        timed = one in QUANTITIES or one == PRESSURE
+        written.append((path, _not_asked_for(results, at) if timed else ""))
+    return written
+
+
+def parse_time(text: str) -> Time:
+    """A time as the user wrote it: seconds, with or without a unit ("4.5 ms"), "start", "peak" or "end".
+
+    Raises
+    ------
+    CaseError
+        Saying what can be written.
+    """
+    clean = text.strip()
+    if clean in NAMED:
+        return clean
+    number, unit = clean, "s"
+    for suffix in sorted(SECONDS, key=len, reverse=True):
+        if clean.endswith(suffix):
+            number, unit = clean.removesuffix(suffix), suffix
+            break
+    try:
+        return float(number) * SECONDS[unit]
+    except ValueError:
+        raise CaseError(f'--time {text}: write seconds, "4.5 ms", or {listed(NAMED)}') from None
+
+
+def _path_of(
+    results: Results, what: str, times: Sequence[Time], out: Path | None, number: int, count: int
+) -> Path:
+    """The file of a picture."""
+    if out is not None and out.suffix.lower().removeprefix(".") in FORMATS:
+        return out if count == 1 else out.with_name(f"{out.stem}-{number + 1}{out.suffix}")
+    if out is not None and out.suffix:
+        raise CaseError(f"--out {out}: pictures end in {listed('.' + name for name in FORMATS)}")
+    at = ""
+    if what in QUANTITIES:
+        at = f".{moment(results.times[results.nearest(times[0])]).replace(' ', '').replace('µ', 'u')}"
+    return (out or results.path) / f"plot.{what}{at}.png"
+
+
+def _not_asked_for(results: Results, times: Sequence[Time]) -> str:
+    """Which frames are drawn in place of times that have none."""
+    told = []
+    for time in times:
+        if not isinstance(time, str):
+            found = float(results.times[results.nearest(time)])
+            if abs(found - time) > NEAR * float(results.times[-1]):
+                told.append(f"{moment(time)}: no frame; drawn is the nearest, {moment(found)}")
+    return "; ".join(told)

@@ -1,0 +1,282 @@
+"""Results as arrays, and the pictures, films and tables made from them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from small_run import small_run
+
+from phantomnode import open_results
+from phantomnode.pipeline.cli import app
+from phantomnode.pipeline.curve_pictures import HISTORIES, draw_history, draw_pressure, energies
+from phantomnode.pipeline.drawing import readable
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.field_pictures import limits_of
+from phantomnode.pipeline.film import write_film
+from phantomnode.pipeline.frames import FieldsFrame
+from phantomnode.pipeline.plot import parse_time, picture, plot_files
+from phantomnode.pipeline.quantities import QUANTITIES, quantity
+from phantomnode.pipeline.vtu_reader import read_pvd, read_vtu
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    return open_results(small_run(tmp_path_factory.mktemp("results") / "small"))
+
+
+@pytest.fixture(scope="module")
+def peak(results):
+    return results.frame("peak")
+
+
+def meshio_or_skip():
+    return pytest.importorskip("meshio")
+
+
+class TestFiles:
+    def test_every_array_is_what_meshio_reads(self, results):
+        meshio = meshio_or_skip()
+        for series in ("fields", "contact"):
+            _, file = read_pvd(results.path / f"{series}.pvd")[3]
+            ours, theirs = read_vtu(file), meshio.read(file)
+            np.testing.assert_array_equal(ours.points, theirs.points)
+            for name, values in theirs.point_data.items():
+                np.testing.assert_array_equal(ours.point_data[name], values)
+            for name, blocks in theirs.cell_data.items():
+                np.testing.assert_array_equal(ours.cell_data[name], np.concatenate(blocks))
+            assert set(ours.cell_data) == set(theirs.cell_data)
+            for block in theirs.cells:
+                kind = {"quad": 9, "triangle": 5, "line": 3}[block.type]
+                np.testing.assert_array_equal(ours.cells(kind), block.data)
+
+    def test_a_frame_that_is_cut_short_is_named(self, results, tmp_path):
+        _, file = read_pvd(results.path / "fields.pvd")[0]
+        short = tmp_path / "short.vtu"
+        short.write_bytes(file.read_bytes()[:-400])
+        with pytest.raises(CaseError, match=r"short\.vtu: cannot be read as a frame"):
+            read_vtu(short)
+
+    def test_a_compressor_that_is_not_known_is_named(self, results, tmp_path):
+        _, file = read_pvd(results.path / "fields.pvd")[0]
+        other = tmp_path / "other.vtu"
+        other.write_bytes(file.read_bytes().replace(b"vtkZLibDataCompressor", b"vtkLZMADataCompressor"))
+        with pytest.raises(CaseError, match="packed by vtkLZMADataCompressor"):
+            read_vtu(other)
+
+    def test_pyvista_gets_the_same_frame(self, results, peak):
+        pytest.importorskip("pyvista")
+        data = results.dataset("peak")
+        assert data.n_cells == len(peak.cell("body"))
+        np.testing.assert_array_equal(data.cell_data["von_mises"], peak.cell("von_mises"))
+
+
+class TestArrays:
+    def test_the_history_holds_the_columns_and_the_balance(self, results):
+        assert results.history.time[-1] == pytest.approx(1.2e-3, rel=1e-3)
+        kept = energies(results.history)["sum less external work"]
+        assert np.ptp(kept) < 1e-3 * kept[0]
+        with pytest.raises(KeyError, match="did you mean 'kinetic'"):
+            results.history["kinetik"]
+
+    def test_times_are_found_by_number_and_by_name(self, results):
+        assert len(results.times) == 7
+        assert (results.nearest("start"), results.nearest("end"), results.nearest(0.39e-3)) == (0, 6, 2)
+        internal = np.interp(results.times, results.history.time, results.history["internal"])
+        assert internal[results.nearest("peak")] == internal.max()
+        with pytest.raises(CaseError, match="start, peak, end"):
+            results.nearest("middle")
+
+    def test_reference_positions_are_those_of_the_first_frame(self, results, peak):
+        # Files hold float32: the sum of the roundings of positions and displacements of 0.03 m.
+        np.testing.assert_allclose(peak.reference, results.frame("start").points, atol=1e-8)
+
+    def test_every_field_has_one_value_a_cell(self, peak):
+        for name in QUANTITIES:
+            assert peak.values(name).shape == peak.cell("body").shape, name
+
+    def test_fields_agree_with_each_other(self, peak):
+        first, second = peak.values("principal_max"), peak.values("principal_min")
+        np.testing.assert_allclose(
+            first + second, peak.values("stress_xx") + peak.values("stress_yy"), atol=1.0
+        )
+        zz = peak.values("stress_zz")
+        mises = np.sqrt(0.5 * ((first - second) ** 2 + (second - zz) ** 2 + (zz - first) ** 2))
+        np.testing.assert_allclose(mises, peak.values("von_mises"), rtol=1e-4, atol=1.0)  # float32 stresses
+
+    def test_pressure_along_the_surface_has_the_force_of_the_history(self, results):
+        arc, pressure = results.pressure("landing", "peak", filtered=False)
+        along = results.surface("landing")
+        assert along.closed and np.all(np.diff(arc) > 0.0)
+        assert along.length == pytest.approx(2.0 * np.pi * 0.02, rel=5e-3)  # a polygon in the circle
+        contact = results.contact("peak")
+        ends = contact.ends[along.order]
+        length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+        normal = contact.of_pair(0, "normal")[along.order, 1]
+        row = int(np.argmin(np.abs(results.history.time - contact.time)))
+        assert np.sum(pressure * length * normal) == pytest.approx(
+            results.history["contact.landing.fy"][row], rel=1e-4
+        )
+
+    def test_what_is_missing_is_named(self, results, tmp_path):
+        with pytest.raises(CaseError, match="no contact pair 'lading'; there are: landing"):
+            results.surface("lading")
+        with pytest.raises(CaseError, match=r"no field \(did you mean 'von_mises'\?\)"):
+            quantity("von_misses")
+        with pytest.raises(CaseError, match="holds no results of a run"):
+            open_results(tmp_path)
+        (tmp_path / "results.csv").write_text("case\n")
+        with pytest.raises(CaseError, match="holds a batch; open one of its cases"):
+            open_results(tmp_path)
+
+    def test_a_notebook_shows_title_checks_and_picture(self, results):
+        page = results._repr_html_()
+        assert "A &lt;small&gt; disc &amp; a floor" in page
+        assert "energy error" in page and "data:image/png;base64," in page
+        assert "small" in repr(results)
+
+
+class TestPictures:
+    def test_readable_units(self):
+        assert readable(np.array([2.5e8, np.nan]), "Pa") == (1e-6, "MPa")
+        assert readable(4.5e-3, "s") == (1e3, "ms")
+        assert readable(50.0, "m/s") == (1.0, "m/s")
+        assert readable(0.0, "Pa") == (1.0, "Pa")
+
+    def test_colours_are_about_zero_for_signed_and_about_one_for_ratios(self):
+        values = np.array([-2.0, 1.0, 1.5])
+        low, high = limits_of(values, QUANTITIES["stress_xx"])
+        assert low == -high and high == pytest.approx(2.0, rel=1e-2)
+        low, high = limits_of(np.array([0.98, 1.01]), QUANTITIES["J"])
+        assert low + high == pytest.approx(2.0)
+        assert limits_of(np.abs(values), QUANTITIES["von_mises"]).low == 0.0
+
+    def test_a_field_is_drawn_on_equal_axes_with_unit_and_time(self, results):
+        figure = results.plot("von_mises", "peak")
+        axes, bar = figure.axes
+        assert axes.get_aspect() == 1.0
+        assert bar.get_ylabel().startswith("von Mises stress, ") and bar.get_ylabel().endswith("Pa")
+        assert "t = " in axes.get_title()
+
+    def test_pressure_is_drawn_around_the_contact_not_at_the_seam(self, results):
+        axes = draw_pressure(results, "landing", ["peak"]).axes[0]
+        low, high = axes.get_xlim()
+        x, y = axes.lines[0].get_xdata(), axes.lines[0].get_ydata()
+        on = x[y > 0.0]
+        assert low < on.min() and on.max() < high
+        assert np.ptp(on) < 0.5 * np.nanmax(x)
+
+    @pytest.mark.parametrize("what", HISTORIES)
+    def test_histories_have_a_unit_and_finite_curves(self, results, what):
+        for axes in draw_history(results, what).axes:
+            assert axes.get_ylabel()
+            assert all(np.all(np.isfinite(line.get_ydata())) for line in axes.lines) and axes.lines
+
+    def test_a_column_of_the_history_is_a_picture(self, results):
+        figure = picture(results, "contact.landing.iy")
+        assert figure.axes[0].get_ylabel() == "contact.landing.iy, N s/m"
+
+    def test_level_sets_show_the_relocated_nodes_and_where_they_were(self, results):
+        figure = picture(results, "level_set")
+        body = results.prepared.bodies[0]
+        dots = [line for line in figure.axes[0].lines if line.get_label() == "relocated nodes"]
+        assert len(dots[0].get_xdata()) == body.relocated > 0
+
+    def test_nodes_show_every_real_and_phantom_node(self, results):
+        marks = {line.get_label(): len(line.get_xdata()) for line in picture(results, "nodes").axes[0].lines}
+        counts = results.summary["counts"]
+        phantom = counts["phantom_nodes"]
+        assert marks[f"phantom nodes ({phantom})"] == phantom > 0
+        real = counts["nodes"] - phantom
+        assert marks[f"real nodes ({real})"] == real
+
+    def test_files_are_named_after_what_they_show_and_the_same_each_time(self, results, tmp_path):
+        (first, said), (other, _) = plot_files(results, ["J"], [0.39e-3, "end"], tmp_path)
+        assert first.name == "plot.J.400us.png" and other.name == "plot.J.1.2ms.png"
+        assert "390 µs: no frame; drawn is the nearest, 400 µs" in said
+        for name in ("a.svg", "b.svg"):
+            plot_files(results, ["energies"], ["end"], tmp_path / name)
+        assert b"<svg" in (tmp_path / "a.svg").read_bytes()
+        assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+    def test_times_as_people_write_them(self):
+        assert parse_time("4.5 ms") == pytest.approx(4.5e-3)
+        assert parse_time("0.25") == 0.25 and parse_time("3us") == pytest.approx(3e-6)
+        assert parse_time("peak") == "peak"
+        with pytest.raises(CaseError, match="--time soon: write seconds"):
+            parse_time("soon")
+
+    def test_what_cannot_be_drawn_is_said_in_one_line(self, results, capsys):
+        def line(*options):
+            assert app(["plot", str(results.path), *options], result_action="return_value") == 2
+            return capsys.readouterr().err
+
+        assert "did you mean 'von_mises'?" in line("--what", "von_misses")
+        assert "pictures end in .png, .svg, .pdf" in line("--out", "picture.bmp")
+        assert "no contact pair 'x'" in line("--what", "contact_pressure", "--pair", "x")
+
+    def test_the_command_line_says_where_pictures_are(self, results, tmp_path, capsys):
+        target = tmp_path / "new" / "mises.png"
+        assert app(["plot", str(results.path), "--out", str(target)], result_action="return_value") == 0
+        assert f"picture   {target}" in capsys.readouterr().out
+        assert target.read_bytes().startswith(b"\x89PNG")
+
+
+class TestFilms:
+    def test_a_gif_has_all_frames_of_the_size_asked_for(self, results, tmp_path):
+        from PIL import Image
+
+        film = write_film(results, "velocity", tmp_path / "v.gif", fps=10, width=300)
+        with Image.open(film) as image:
+            assert image.n_frames == len(results.times)
+            assert abs(image.size[0] - 300) <= 2
+            assert image.info["duration"] == 100
+        assert [file.name for file in tmp_path.iterdir()] == ["v.gif"]
+
+    def test_an_mp4_without_ffmpeg_says_what_to_install(self, results, tmp_path, monkeypatch):
+        monkeypatch.setattr(shutil, "which", lambda name: None)
+        monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+        with pytest.raises(CaseError, match=r'pip install "phantomnode\[film\]"'):
+            write_film(results, out=tmp_path / "v.mp4")
+
+    def test_an_mp4_is_written_where_ffmpeg_is(self, results, tmp_path):
+        if not shutil.which("ffmpeg"):
+            pytest.importorskip("imageio_ffmpeg", reason="there is no ffmpeg")
+        film = write_film(results, out=tmp_path / "v.mp4", width=301)
+        assert film.read_bytes()[4:8] == b"ftyp"
+
+    @pytest.mark.parametrize(("option", "value"), [("fps", 0), ("width", 10)])
+    def test_numbers_that_cannot_be_are_refused(self, results, option, value):
+        with pytest.raises(CaseError, match=f"--{option} {value}: must lie between"):
+            write_film(results, **{option: value})
+
+
+def test_results_are_read_without_the_solver(results):
+    """Reading and plotting results loads neither numba nor gmsh: a picture comes in a second."""
+    code = (
+        "import sys, phantomnode; r = phantomnode.open_results(sys.argv[1]); r.frame('end').values('von_mises'); "
+        "r.plot('energies'); print([m for m in ('numba', 'gmsh', 'pyvista', 'vtkmodules') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(results.path)],
+        capture_output=True,
+        text=True,
+        env=os.environ,
+        check=True,
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_a_run_that_has_not_ended_can_be_looked_at(results, tmp_path):
+    folder = tmp_path / "underway"
+    shutil.copytree(results.path, folder)
+    (folder / "summary.json").unlink()
+    underway = open_results(folder)
+    assert "not ended" in repr(underway)
+    assert isinstance(underway.frame("end"), FieldsFrame)
+    assert json.dumps(underway.summary) == "{}"
