@@ -7,7 +7,7 @@ one and the same vertex, so a closed chain is closed exactly, and arcs stay arcs
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -197,6 +197,24 @@ class Region:
 
 
 @dataclass(frozen=True)
+class Contents:
+    """What one layer of a file holds.
+
+    Attributes
+    ----------
+    name : str
+    kinds : tuple of (str, int)
+        Kinds of entities and how many there are of each.
+    state : str
+        Why it does not count ("off", "frozen", "left out"); "" where it does.
+    """
+
+    name: str
+    kinds: tuple[tuple[str, int], ...]
+    state: str = ""
+
+
+@dataclass(frozen=True)
 class Geometry:
     """What a file (or a shape of the case file) holds, in metres.
 
@@ -207,11 +225,17 @@ class Geometry:
         Open curves, and closed ones that are no outline.
     notes : tuple of str
         What the reader left out or mended, for the log and for ``check``.
+    unit : str
+        The unit that the numbers of the file were taken to have.
+    contents : tuple of Contents
+        The layers of a drawing, whether they count or not.
     """
 
     regions: tuple[Region, ...] = ()
     curves: tuple[Curve, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    unit: str = "m"
+    contents: tuple[Contents, ...] = ()
 
 
 def part_names(regions: tuple[Region, ...]) -> tuple[str, ...]:

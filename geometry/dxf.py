@@ -1,30 +1,32 @@
-"""Curves of the model space of a DXF drawing."""
+"""Regions and curves of a DXF drawing."""
 
 from __future__ import annotations
 
-import io
 import time
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from phantomnode.geometry.curves import Curve, Geometry
+from phantomnode.geometry.curves import Contents, Curve, Geometry
+from phantomnode.geometry.dxf_entities import AREAS, Item, Sheet, SolidError
+from phantomnode.geometry.dxf_load import load, quiet
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.flatten import CHORD_ERROR, Evaluate, arc_pieces, trace
-from phantomnode.geometry.loops import assemble, diagonal
+from phantomnode.geometry.flatten import CHORD_ERROR, trace
+from phantomnode.geometry.loops import assemble, diagonal, join
 from phantomnode.geometry.units import INSUNITS, chosen, metres
-
-Floats = NDArray[np.float64]
 
 MOST_ENTITIES = 100_000
 """Entities of a drawing with its blocks expanded; nested blocks and arrays of inserts grow without bound."""
 
-PLANE = 1e-9
-"""Part of the coordinates' size by which z may differ between curves of one plane."""
+DEEPEST = 30
+"""Blocks within blocks."""
+
+PLANE = 1e-6
+"""Part of the drawing's diagonal by which z may differ between curves of one plane."""
 
 SOLIDS = {"3DSOLID", "BODY", "SURFACE", "EXTRUDEDSURFACE", "REVOLVEDSURFACE", "LOFTEDSURFACE", "SWEPTSURFACE",
           "PLANESURFACE", "NURBSURFACE", "MESH", "3DFACE", "POLYFACE", "POLYMESH"}  # fmt: skip
@@ -35,26 +37,100 @@ SOLID = (
 )
 
 
+@dataclass(frozen=True)
+class _Shown:
+    """One entity with its blocks expanded, its layer, what it is in words, and whether it counts."""
+
+    entity: Any
+    layer: str
+    source: str
+
+
 @dataclass
-class _Drawing:
-    """What was found so far: exact pieces, free-form curves, heights, and entities of other kinds."""
+class _Layers:
+    """Which layers count: those that are shown and not left out, or exactly those that are asked for."""
 
-    pieces: list[Curve] = field(default_factory=list)
-    free: list[tuple[Evaluate, Floats, str]] = field(default_factory=list)
-    heights: list[float] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
+    states: dict[str, str]
+    names: dict[str, str]
+    contents: dict[str, Counter[str]] = field(default_factory=dict)
 
-    def add(self, points: Floats, bulges: Floats, layer: str) -> None:
-        """Add lines and arcs through (n + 1, 3) points."""
-        self.heights += points[:, 2].tolist()
-        self.pieces.append(Curve(points[:, :2], bulges, (layer,) * len(bulges)))
+    @classmethod
+    def of(cls, document: Any, only: Sequence[str], without: Sequence[str]) -> _Layers:
+        """The layers of a document; patterns such as "cut*" name any number of them."""
+        states, names = {}, {"0": "0"}
+        for layer in document.layers:
+            name = str(layer.dxf.name)
+            names[name.lower()] = name
+            states[name.lower()] = "frozen" if layer.is_frozen() else "off" if layer.is_off() else ""
+        for entity in document.entitydb.values():  # a layer need not be in the table
+            if entity.dxf.is_supported("layer") and entity.dxf.hasattr("layer"):
+                names.setdefault(str(entity.dxf.layer).lower(), str(entity.dxf.layer))
+        chosen_ones = _matching("layers", only, names)
+        dropped = _matching("without_layers", without, names)
+        for key in names:
+            if only:
+                states[key] = "" if key in chosen_ones else "not asked for"
+            if key in dropped:
+                states[key] = "left out"
+        return cls(states, names)
+
+    def take(self, found: _Shown) -> bool:
+        """Whether an entity counts; keeps the score of what is where."""
+        key = found.layer.lower()
+        self.contents.setdefault(key, Counter())[found.entity.dxftype()] += 1
+        return not self.states.get(key)
+
+    def report(self) -> tuple[Contents, ...]:
+        """What is on each layer, in the order of the first entity."""
+        return tuple(
+            Contents(self.names.get(key, key), tuple(sorted(counts.items())), self.states.get(key, ""))
+            for key, counts in self.contents.items()
+        )
+
+    def notes(self) -> list[str]:
+        """What the layers that do not count hold."""
+        return [
+            f"layer '{layer.name}' is {layer.state}: {_listed(Counter(dict(layer.kinds)))} on it do not count"
+            for layer in self.report()
+            if layer.state in ("off", "frozen")
+        ]
 
 
-def read_dxf(content: bytes, unit: str | None, time_limit: float) -> Geometry:
+def _matching(key: str, patterns: Sequence[str], names: dict[str, str]) -> set[str]:
+    """The layers, in small letters, that any of the patterns means."""
+    found: set[str] = set()
+    for pattern in patterns:
+        hits = {name for name in names if fnmatchcase(name, pattern.lower()) or name == pattern.lower()}
+        if not hits:
+            listed = ", ".join(f"'{name}'" for name in sorted(names.values()))
+            raise GeometryError(f"{key}: no layer is called '{pattern}'; there are {listed}")
+        found |= hits
+    return found
+
+
+def read_dxf(
+    content: bytes,
+    unit: str | None,
+    time_limit: float,
+    layers: Sequence[str] = (),
+    without_layers: Sequence[str] = (),
+) -> Geometry:
     """Regions and curves of a DXF drawing, in metres.
 
-    LINE, ARC, CIRCLE, ELLIPSE, LWPOLYLINE, POLYLINE and SPLINE of the model space, also in blocks (INSERT), on
-    layers that are shown. Layers become the names of pieces; layer "0" gives none. Other kinds are noted.
+    LINE, ARC, CIRCLE, ELLIPSE, LWPOLYLINE, POLYLINE, SPLINE, HELIX and MLINE of the model space, also in blocks
+    (INSERT); of the first paper space with curves where it has none; and the boundaries of filled areas (HATCH,
+    MPOLYGON, SOLID, TRACE) where there are no curves at all. Layers become the names of pieces; layer "0" gives
+    none. Other kinds are noted.
+
+    Parameters
+    ----------
+    content : bytes
+        ASCII or binary.
+    unit : str or None
+        Goes before that of the file.
+    time_limit : float, s
+    layers, without_layers : sequence of str
+        Names or patterns ("cut*"). Without ``layers`` all that are shown count.
 
     Raises
     ------
@@ -63,64 +139,107 @@ def read_dxf(content: bytes, unit: str | None, time_limit: float) -> Geometry:
     """
     import ezdxf
 
-    document, notes = _load(content)
-    name, unit_notes = chosen(unit, INSUNITS.get(int(document.header.get("$INSUNITS", 0))))
-    drawing = _Drawing()
-    try:
-        _collect_all(drawing, document, time.monotonic() + time_limit)
-    except ezdxf.DXFError as error:
-        raise GeometryError(f"the DXF file is damaged ({error}); export it again") from error
-    pieces = _flattened(drawing)
-    if drawing.left_out:
-        listed = ", ".join(f"{count} {kind}" for kind, count in sorted(drawing.left_out.items()))
-        notes.append(f"left out: {listed}")
+    deadline = time.monotonic() + time_limit
+    with quiet():
+        document, notes = load(content)
+        name, unit_notes = chosen(unit, INSUNITS.get(_header(document, "$INSUNITS", 0)), _unit_hint(document))
+        chosen_layers = _Layers.of(document, layers, without_layers)
+        try:
+            sheet, more = _sheet(document, chosen_layers, deadline)
+        except GeometryError:
+            raise
+        except (ezdxf.DXFError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as error:
+            raise GeometryError(f"the DXF file is damaged ({error}); export it again") from error
+    notes += chosen_layers.notes() + more
+    if sheet.left_out:
+        notes.append(f"left out: {_listed(sheet.left_out)}")
     factor = metres(name)
-    geometry = assemble([piece.scaled(factor) for piece in pieces])
-    return Geometry(geometry.regions, geometry.curves, (*unit_notes, *notes, *geometry.notes))
+    pieces, sources = _joined_loops([piece.scaled(factor) for piece in _flattened(sheet.items)], sheet.items)
+    geometry = assemble(pieces, sources)
+    return replace(
+        geometry, notes=(*unit_notes, *notes, *geometry.notes), unit=name, contents=chosen_layers.report()
+    )
 
 
-def _collect_all(drawing: _Drawing, document: Any, deadline: float) -> None:
-    """Fill the drawing from the model space, without the layers that are not shown."""
-    hidden = {layer.dxf.name.lower() for layer in document.layers if layer.is_off() or layer.is_frozen()}
-    for entity, layer in _expanded(document, deadline):
-        if layer.lower() in hidden:
-            drawing.left_out[f"{entity.dxftype()} on hidden layer '{layer}'"] += 1
+def _header(document: Any, name: str, default: int) -> int:
+    """An integer variable of the header; damaged ones count as the default."""
+    try:
+        return int(document.header.get(name, default))
+    except (TypeError, ValueError):
+        return default
+
+
+def _unit_hint(document: Any) -> str:
+    """What the file says about units where it has none."""
+    system = _header(document, "$MEASUREMENT", -1)
+    return {
+        0: "the drawing was made with English units, so perhaps in",
+        1: "the drawing is metric, so perhaps mm",
+    }.get(system, "")
+
+
+def _listed(counts: Counter[str]) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(counts.items()))
+
+
+def _sheet(document: Any, layers: _Layers, deadline: float) -> tuple[Sheet, list[str]]:
+    """The curves of the model space, else of the first paper space that has some, else boundaries of areas."""
+    model = list(_expanded(document.modelspace(), layers, deadline))
+    spaces = [("model space", model)]
+    sheet = _filled(model, areas=False)
+    if not sheet.items:
+        for layout in document.layouts:
+            if layout.name != "Model":
+                spaces.append((f"paper space '{layout.name}'", list(_expanded(layout, layers, deadline))))
+    for areas in (False, True):
+        for label, found in spaces:
+            filled = _filled(found, areas=areas)
+            if filled.items:
+                notes = (
+                    [f"the model space holds no curves: {label} is taken"] if label != "model space" else []
+                )
+                if areas:
+                    notes.append("there are no curves: the boundaries of filled areas are taken")
+                _check_plane(filled.items)
+                return filled, notes
+    raise GeometryError(_nothing(sheet, layers))
+
+
+def _nothing(sheet: Sheet, layers: _Layers) -> str:
+    """Why there is no curve."""
+    if SOLIDS & set(sheet.left_out):
+        return f"{SOLID}; it holds {_listed(sheet.left_out)}"
+    hidden = "; ".join(layers.notes())
+    return (
+        f"the drawing holds no curves (it holds {_listed(sheet.left_out) or 'nothing at all'}"
+        f"{'; ' + hidden if hidden else ''}); explode or draw the outline with lines, arcs, circles, ellipses, "
+        "polylines or splines on a layer that is shown"
+    )
+
+
+def _filled(found: list[_Shown], *, areas: bool) -> Sheet:
+    """The curves among the entities, or the boundaries of the areas."""
+    sheet = Sheet()
+    for shown in found:
+        if (shown.entity.dxftype() in AREAS) == areas:
+            try:
+                sheet.add(shown.entity, "" if shown.layer == "0" else shown.layer, shown.source)
+            except GeometryError as error:
+                if isinstance(error.__cause__, SolidError):
+                    raise GeometryError(f"{SOLID}; {shown.source}: {error.__cause__}") from error
+                raise
         else:
-            _collect(drawing, entity, "" if layer == "0" else layer)
+            sheet.left_out[shown.entity.dxftype()] += 1
+    return sheet
 
 
-def _load(content: bytes) -> tuple[Any, list[str]]:
-    """The ezdxf document; mended with a note where its structure is not that of the standard."""
-    import ezdxf
-    from ezdxf import recover
-
-    try:
-        document = ezdxf.read(io.StringIO(_decoded(content)))
-        return document, []
-    except (ezdxf.DXFError, ValueError, TypeError, KeyError, AttributeError, IndexError):
-        pass  # many real drawings miss required tags: the recover mode reads those, or says why it cannot
-    try:
-        document, auditor = recover.read(io.BytesIO(content))
-    except Exception as error:  # ezdxf raises many kinds on damaged files
-        raise GeometryError(f"the DXF file is damaged ({error}); export it again") from error
-    return document, [f"the DXF file does not keep to the standard ({len(auditor.errors)} errors mended)"]
-
-
-def _decoded(content: bytes) -> str:
-    """The text of an ASCII DXF file: UTF-8 from 2007 on, a Windows code page before."""
-    try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError:
-        return content.decode("cp1252", errors="replace").replace("\r\n", "\n").replace("\r", "\n")
-
-
-def _expanded(document: Any, deadline: float) -> Iterator[tuple[Any, str]]:
-    """Every entity of the model space and its layer, blocks replaced by what they hold."""
-    stack: list[Iterator[tuple[Any, str]]] = [iter([(e, _layer(e)) for e in document.modelspace()])]
+def _expanded(space: Any, layers: _Layers, deadline: float) -> Iterator[_Shown]:
+    """Every entity of a space on layers that count, blocks and multilines replaced by what they hold."""
+    stack: list[Iterator[_Shown]] = [_direct(space)]
     count = 0
     while stack:
-        entity, layer = next(stack[-1], (None, ""))
-        if entity is None:
+        found = next(stack[-1], None)
+        if found is None:
             stack.pop()
             continue
         count += 1
@@ -129,21 +248,59 @@ def _expanded(document: Any, deadline: float) -> Iterator[tuple[Any, str]]:
                 f"the drawing holds more than {min(count, MOST_ENTITIES)} entities with its blocks expanded, "
                 "too many to read in the time: explode or purge its blocks, keep the outline only"
             )
-        if entity.dxftype() != "INSERT":
-            yield entity, layer
-        elif len(stack) > 30:
-            raise GeometryError(f"blocks are nested more than 30 deep at '{entity.dxf.name}'; explode them")
-        else:
-            stack.append(_inside(entity, layer))
+        kind = found.entity.dxftype()
+        if kind == "INSERT":
+            # What is in a block may lie on other layers; a frozen layer hides it all the same.
+            if layers.states.get(found.layer.lower()) == "frozen":
+                layers.take(found)
+            elif len(stack) > DEEPEST:
+                raise GeometryError(
+                    f"blocks are nested more than {DEEPEST} deep at '{found.entity.dxf.name}'; explode them"
+                )
+            else:
+                stack.append(_inside(found))
+        elif layers.take(found):
+            if kind == "MLINE":
+                stack.append(_virtual(found, f"of {found.source}"))
+            else:
+                yield found
 
 
-def _inside(insert: Any, layer: str) -> Iterator[tuple[Any, str]]:
+def _direct(space: Any) -> Iterator[_Shown]:
+    """The entities of a space itself, without those that are hidden one by one."""
+    for entity in space:
+        if not entity.dxf.get("invisible", 0):
+            layer = _layer(entity)
+            yield _Shown(entity, layer, f"{entity.dxftype()} {entity.dxf.handle} on layer '{layer}'")
+
+
+def _inside(insert: _Shown) -> Iterator[_Shown]:
     """What an INSERT shows, one array place after the other; layer "0" in a block means the insert's layer."""
-    places = insert.multi_insert() if insert.mcount > 1 else [insert]
-    for place in places:
-        for entity in place.virtual_entities():
-            own = _layer(entity)
-            yield entity, layer if own == "0" else own
+    entity = insert.entity
+    if entity.block() is None:
+        raise GeometryError(f"{insert.source} shows the block '{entity.dxf.name}', which is missing")
+    if entity.mcount > MOST_ENTITIES:
+        raise GeometryError(
+            f"{insert.source} repeats a block {entity.mcount} times, more than {MOST_ENTITIES} entities; explode it"
+        )
+    if entity.dxf.zscale == 0.0:
+        entity = entity.copy()
+        entity.dxf.zscale = 1.0  # plane blocks are inserted so, and have no height to scale
+    for place in entity.multi_insert() if entity.mcount > 1 else [entity]:
+        yield from _virtual(
+            _Shown(place, insert.layer, insert.source), f"in block '{entity.dxf.name}' of {insert.source}"
+        )
+
+
+def _virtual(parent: _Shown, where: str) -> Iterator[_Shown]:
+    """What a block reference or multiline is made of."""
+    for entity in parent.entity.virtual_entities():
+        own = _layer(entity)
+        layer = parent.layer if own == "0" else own
+        origin = entity.source_of_copy
+        handle = f" {origin.dxf.handle}" if origin is not None and origin.dxf.handle else ""
+        if not entity.dxf.get("invisible", 0):
+            yield _Shown(entity, layer, f"{entity.dxftype()}{handle} on layer '{layer}' {where}")
 
 
 def _layer(entity: Any) -> str:
@@ -151,129 +308,43 @@ def _layer(entity: Any) -> str:
     return str(entity.dxf.layer) if entity.dxf.is_supported("layer") else "0"
 
 
-def _collect(drawing: _Drawing, entity: Any, layer: str) -> None:
-    """Add one entity to the drawing, or count it among those left out."""
-    from ezdxf import DXFError
-
-    kind = entity.dxftype()
-    try:
-        if kind == "LINE":
-            drawing.add(np.array([entity.dxf.start, entity.dxf.end]), np.zeros(1), layer)
-        elif kind in ("ARC", "CIRCLE") and entity.dxf.radius == 0.0:
-            drawing.left_out[f"{kind} of radius 0"] += 1
-        elif kind in ("ARC", "CIRCLE"):
-            _add_arc(drawing, entity, layer)
-        elif kind in ("LWPOLYLINE", "POLYLINE") and _is_path(entity):
-            _add_polyline(drawing, entity, layer)
-        elif kind == "ELLIPSE":
-            tool = entity.construction_tool()
-            start, end = tool.start_param, tool.end_param
-            end += 2.0 * np.pi if end <= start else 0.0
-            _add_free(drawing, lambda t: list(tool.vertices(t)), np.array([start, end]), layer)
-        elif kind == "SPLINE":
-            spline = entity.construction_tool()
-            knots = np.unique(spline.knots())
-            knots = knots[
-                (knots >= spline.knots()[spline.order - 1]) & (knots <= spline.knots()[-spline.order])
-            ]
-            _add_free(drawing, lambda t: list(spline.points(t)), knots, layer)
-        else:
-            drawing.left_out[entity.get_mode().upper() if kind == "POLYLINE" else kind] += 1
-    except GeometryError:
-        raise
-    except (DXFError, ValueError, ArithmeticError, IndexError, TypeError, AttributeError) as error:
-        raise GeometryError(
-            f"{kind} with handle {entity.dxf.handle} on layer '{layer or 0}' cannot be read ({error}); "
-            "redraw or delete it"
-        ) from error
+def _check_plane(items: list[Item]) -> None:
+    """Refuse curves that do not lie in one plane of constant z, naming one."""
+    size = diagonal([Curve(item.points, item.bulges) for item in items])
+    plane = float(np.median([float(item.heights[0]) for item in items]))
+    for item in items:
+        off = item.heights[np.argmax(np.abs(item.heights - plane))]
+        if abs(off - plane) > PLANE * size:
+            raise GeometryError(
+                f"{SOLID}; most curves lie at z = {plane:g}, but {item.source} reaches z = {off:g}: flatten the "
+                "drawing, or leave out that layer (without_layers)"
+            )
 
 
-def _add_arc(drawing: _Drawing, entity: Any, layer: str) -> None:
-    """ARC and CIRCLE, exact; drawn from below (extrusion -z) they run the other way."""
-    system, radius = entity.ocs(), float(entity.dxf.radius)
-    first, sweep = 0.0, 2.0 * np.pi
-    if entity.dxftype() == "ARC":
-        first = np.radians(entity.dxf.start_angle)
-        sweep = np.radians((entity.dxf.end_angle - entity.dxf.start_angle) % 360.0 or 360.0)
-    local = np.array(entity.dxf.center)
-    angles = np.array([first, first + sweep])
-    rim = [tuple(local + radius * np.array([np.cos(a), np.sin(a), 0.0])) for a in angles]
-    start, end, centre = (np.array(system.to_wcs(point)) for point in (*rim, tuple(local)))
-    _flat_extrusion(entity)
-    if sweep == 2.0 * np.pi:
-        end = start
-    turn = sweep if entity.dxf.extrusion.z > 0.0 else -sweep
-    points, bulges = arc_pieces(start[:2], end[:2], centre[:2], turn)
-    drawing.add(np.column_stack([points, np.full(len(points), centre[2])]), bulges, layer)
+def _joined_loops(pieces: list[Curve], items: list[Item]) -> tuple[list[Curve], list[str]]:
+    """The pieces and their sources, those of one closed boundary joined before all others."""
+    loops: dict[int, list[int]] = {}
+    for k, item in enumerate(items):
+        loops.setdefault(item.loop, []).append(k)
+    alone = loops.pop(-1, [])
+    joined, sources = [pieces[k] for k in alone], [items[k].source for k in alone]
+    for members in loops.values():
+        chains = join([pieces[k] for k in members])
+        joined += [*chains.closed, *chains.open]
+        sources += [items[members[0]].source] * len((*chains.closed, *chains.open))
+    return joined, sources
 
 
-def _is_path(entity: Any) -> bool:
-    """Whether a polyline is a curve, not a mesh."""
-    return bool(entity.dxftype() == "LWPOLYLINE" or entity.is_2d_polyline or entity.is_3d_polyline)
-
-
-def _add_polyline(drawing: _Drawing, entity: Any, layer: str) -> None:
-    """LWPOLYLINE and POLYLINE: lines, and arcs where a vertex has a bulge."""
-    if entity.dxftype() == "LWPOLYLINE":
-        points = np.array([tuple(point) for point in entity.vertices_in_wcs()]).reshape(-1, 3)
-        bulges = np.array([bulge for (bulge,) in entity.get_points("b")])
-        closed = entity.closed
-    else:
-        vertices = [v for v in entity.vertices if not v.dxf.flags & v.SPLINE_FRAME_CONTROL_POINT]
-        places = [v.dxf.location for v in vertices]
-        if entity.is_2d_polyline:
-            height = entity.dxf.elevation.z if entity.dxf.hasattr("elevation") else 0.0
-            places = list(entity.ocs().points_to_wcs([type(p)(p.x, p.y, height) for p in places]))
-        points = np.array([tuple(p) for p in places]).reshape(-1, 3)
-        bulges = np.array([v.dxf.bulge for v in vertices])
-        closed = entity.is_closed
-    if np.any(bulges):
-        _flat_extrusion(entity)
-    if entity.dxf.get("extrusion", (0.0, 0.0, 1.0))[2] < 0.0:
-        bulges = -bulges
-    if closed:
-        points = np.vstack([points, points[:1]])
-    bulges = bulges[: len(points) - 1]
-    moved = np.any(np.diff(points, axis=0) != 0.0, axis=1)
-    if np.any(moved):
-        drawing.add(points[np.concatenate([[True], moved])], bulges[moved], layer)
-
-
-def _add_free(drawing: _Drawing, places: Any, breaks: Floats, layer: str) -> None:
-    """A curve that is flattened once the size of the drawing is known."""
-
-    def evaluate(parameter: Floats) -> Floats:
-        return np.array([(p[0], p[1]) for p in places(parameter)])
-
-    drawing.heights += [p[2] for p in places(np.linspace(breaks[0], breaks[-1], 17))]
-    drawing.free.append((evaluate, breaks, layer))
-
-
-def _flat_extrusion(entity: Any) -> None:
-    """Refuse arcs in a plane that is not horizontal."""
-    x, y, z = entity.dxf.get("extrusion", (0.0, 0.0, 1.0))
-    if np.hypot(x, y) > PLANE * abs(z):
-        raise GeometryError(SOLID)
-
-
-def _flattened(drawing: _Drawing) -> list[Curve]:
-    """The pieces of the drawing, free-form curves among them, after making sure that they lie in one plane."""
-    if not drawing.pieces and not drawing.free:
-        if SOLIDS & set(drawing.left_out):
-            raise GeometryError(f"{SOLID}")
-        listed = ", ".join(sorted(drawing.left_out)) or "nothing at all"
-        raise GeometryError(
-            f"the model space of the drawing holds no curves (it holds {listed}); explode or draw the outline "
-            "with lines, arcs, circles, ellipses, polylines or splines on a layer that is shown"
-        )
-    coarse = [Curve(f(np.linspace(b[0], b[-1], 17)), np.zeros(16)) for f, b, _ in drawing.free]
-    size = diagonal([*drawing.pieces, *coarse])
-    if not np.isfinite(size):
-        raise GeometryError("a curve has coordinates that are not finite: the file is damaged")
-    if np.ptp(drawing.heights) > PLANE * max(size, float(np.max(np.abs(drawing.heights)))):
-        raise GeometryError(f"{SOLID}")
-    pieces = list(drawing.pieces)
-    for evaluate, breaks, layer in drawing.free:
-        points, bulges = trace(evaluate, breaks, CHORD_ERROR * size)
-        pieces.append(Curve(points, bulges, (layer,) * len(bulges)))
+def _flattened(items: list[Item]) -> list[Curve]:
+    """Each item as lines and arcs."""
+    size = diagonal([Curve(item.points, item.bulges) for item in items])
+    pieces = []
+    for item in items:
+        points, bulges = item.points, item.bulges
+        if item.free is not None:
+            try:
+                points, bulges = trace(*item.free, CHORD_ERROR * size)
+            except GeometryError as error:
+                raise GeometryError(f"{item.source} cannot be read ({error}); redraw or delete it") from error
+        pieces.append(Curve(points, bulges, (item.layer,) * len(bulges)))
     return pieces

@@ -44,7 +44,7 @@ def diagonal(curves: Sequence[Curve]) -> float:
     return float(np.hypot(*(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0))))
 
 
-def assemble(pieces: Sequence[Curve]) -> Geometry:
+def assemble(pieces: Sequence[Curve], sources: Sequence[str] = ()) -> Geometry:
     """Loose pieces as regions (closed chains, nested) and open curves."""
     chains = join(pieces)
     return Geometry(nest(chains.closed), chains.open, chains.notes)

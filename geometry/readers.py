@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from phantomnode.geometry.curves import Geometry
+from phantomnode.geometry.dxf_load import BINARY, is_whole
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.loops import diagonal
 from phantomnode.geometry.numbering import renumbered
 from phantomnode.geometry.scripts import cleaned, objection
-from phantomnode.geometry.units import chosen, iges_unit, metres, step_unit
+from phantomnode.geometry.units import chosen, iges_unit, metres, size_note, step_unit
 
 TIME_LIMIT = 60.0
 """Seconds after which reading a file is given up."""
@@ -28,7 +30,6 @@ _SUFFIXES = {"step": ".step", "iges": ".igs", "brep": ".brep", "xao": ".xao", "m
 
 _FOREIGN = (
     (rb"AC10\d\d", "a DWG drawing: save it as DXF"),
-    (rb"AutoCAD Binary DXF", "a binary DXF drawing: save it as ASCII DXF"),
     (rb"%PDF|%!PS", "a PDF or PostScript drawing: export DXF"),
     (rb"(?s)\s*(<\?xml.*?)?<svg", "an SVG drawing: export DXF"),
     (rb"solid\s", "an STL surface, which is 3D: export the outline as DXF or STEP"),
@@ -62,12 +63,18 @@ class _File:
 
 
 def read_geometry(
-    path: str | Path, unit: str | None = None, *, trust_scripts: bool = False, time_limit: float = TIME_LIMIT
+    path: str | Path,
+    unit: str | None = None,
+    *,
+    layers: Sequence[str] = (),
+    without_layers: Sequence[str] = (),
+    trust_scripts: bool = False,
+    time_limit: float = TIME_LIMIT,
 ) -> Geometry:
     """Read the regions and curves of a planar CAD file.
 
-    DXF (ASCII), STEP, IGES, BREP, XAO, gmsh scripts (.geo, .geo_unrolled) and gmsh meshes (.msh 2.2 and 4.1,
-    whose lines and outer edges count). Straight lines and circular arcs stay exact; ellipses and splines become
+    DXF (ASCII or binary), STEP, IGES, BREP, XAO, gmsh scripts (.geo, .geo_unrolled) and gmsh meshes (.msh 2.2 and
+    4.1, whose lines and outer edges count). Straight lines and circular arcs stay exact; ellipses and splines become
     polygons within 1e-6 of the drawing's diagonal. Closed chains become regions with their holes unless the file
     itself has faces; then these are the regions, and other curves are kept as curves.
 
@@ -77,6 +84,9 @@ def read_geometry(
     unit : str, optional
         Unit of the numbers in the file ("mm", "m", "in", ...). It goes before the one that the file states, and
         must be given where the file states none (gmsh's own formats and BREP never do).
+    layers, without_layers : sequence of str
+        Layers of a DXF drawing, by name or pattern ("cut*"), that alone count or that do not; all that are shown
+        count unless given.
     trust_scripts : bool
         Let a gmsh script run commands beyond geometry. It can then do whatever you can do.
     time_limit : float, s
@@ -98,12 +108,18 @@ def read_geometry(
         if file.kind == "dxf":
             from phantomnode.geometry.dxf import read_dxf
 
-            geometry = read_dxf(file.content, unit, time_limit)
+            geometry = read_dxf(file.content, unit, time_limit, layers, without_layers)
+        elif layers or without_layers:
+            raise GeometryError(
+                f"this is a {_WORDS[file.kind]} file; only DXF drawings have layers to choose from"
+            )
         else:
             geometry = _read_by_gmsh(file, unit, trust_scripts, time_limit)
         if not geometry.regions and not geometry.curves:
             raise GeometryError("the file holds no curve of any length")
-    return geometry
+    loops = [loop for region in geometry.regions for loop in region.loops]
+    unlikely = size_note(diagonal([*loops, *geometry.curves]), geometry.unit)
+    return replace(geometry, notes=(unlikely, *geometry.notes)) if unlikely else geometry
 
 
 def read_quads(
@@ -176,7 +192,7 @@ def _read_by_gmsh(file: _File, unit: str | None, trust_scripts: bool, time_limit
         # gmsh gives these in millimetres, by the unit in the file (millimetres where it has none).
         factor = 1e-3 if name == own else 1e-3 * metres(name) / metres(own or "mm")
     geometry = read_curves(content, _SUFFIXES[file.kind], factor, time_limit)
-    return Geometry(geometry.regions, geometry.curves, (*notes, *geometry.notes))
+    return replace(geometry, notes=(*notes, *geometry.notes), unit=name)
 
 
 def _vetted(file: _File, trust_scripts: bool) -> bytes:
@@ -224,7 +240,7 @@ def _kind(content: bytes) -> str:
         return "brep"
     if len(first) >= 73 and first[72:73] == b"S" and first[73:80].strip().isdigit():
         return "iges"
-    if re.match(r"(999\s*\n[^\n]*\n\s*)*0\s*\n\s*SECTION\b", head):
+    if content.startswith(BINARY) or re.match(r"(999\s*\n[^\n]*\n\s*)*0\s*\n\s*SECTION\b", head):
         return "dxf"
     for pattern, what in _FOREIGN:
         if re.match(pattern, content):
@@ -232,7 +248,7 @@ def _kind(content: bytes) -> str:
     if b"\0" not in content and _SCRIPT.search(cleaned(content.decode("utf-8", errors="replace"))):
         return "geo"
     raise GeometryError(
-        "the content is of no known kind; geometry is read from DXF (ASCII), STEP, IGES, BREP, XAO, gmsh "
+        "the content is of no known kind; geometry is read from DXF, STEP, IGES, BREP, XAO, gmsh "
         "scripts (.geo) and gmsh meshes (.msh)"
     )
 
@@ -250,9 +266,7 @@ def _check_whole(file: _File) -> None:
     elif file.kind == "iges":
         whole = _iges_is_whole(file.text)
     elif file.kind == "dxf":
-        whole = (
-            re.search(r"\n\s*0\s*\n\s*EOF\s*$", tail.replace("\r", "\n").replace("\n\n", "\n")) is not None
-        )
+        whole = is_whole(file.content)
     elif file.kind == "brep":
         # The last line of a BREP file is the location of the root shape, after the table of shapes.
         whole = "TShapes" in file.text and re.search(r"\n[+-]\d+ \d+\s*(\n0\s*)?$", tail) is not None

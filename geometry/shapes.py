@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -160,7 +161,7 @@ def placed(
         Region(move_curve(region.outer), tuple(map(move_curve, region.holes)), region.name)
         for region in geometry.regions
     )
-    return Geometry(regions, tuple(map(move_curve, geometry.curves)), geometry.notes)
+    return replace(geometry, regions=regions, curves=tuple(map(move_curve, geometry.curves)))
 
 
 def _circle(centre: ArrayLike, radius: float, shape: str, name: str) -> Curve:

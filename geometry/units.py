@@ -30,6 +30,9 @@ INSUNITS = {
 }  # fmt: skip
 """The unit of each code of $INSUNITS (DXF reference, header variables)."""
 
+LIKELY = (1e-4, 200.0)
+"""Sizes of parts in contact, m, that raise no question."""
+
 _IGES_FLAGS = {1: "in", 2: "mm", 4: "ft", 5: "mi", 6: "m", 7: "km", 8: "mil", 9: "um", 10: "cm", 11: "uin"}
 _SI_PREFIXES = {
     "$": "m",
@@ -60,8 +63,18 @@ def metres(unit: str) -> float:
     raise GeometryError(f"unknown unit of length '{unit}'{hint} (one of {', '.join(METRES)})")
 
 
-def chosen(given: str | None, own: str | None) -> tuple[str, tuple[str, ...]]:
-    """The unit to use and a note: the given one goes before the file's own; one of the two must be there."""
+class NoUnitError(GeometryError):
+    """Neither the file nor the user says in which unit the numbers of the file are."""
+
+
+def chosen(given: str | None, own: str | None, hint: str = "") -> tuple[str, tuple[str, ...]]:
+    """The unit to use and a note: the given one goes before the file's own; one of the two must be there.
+
+    Raises
+    ------
+    NoUnitError
+        Where there is none, with the hint.
+    """
     if given is not None:
         metres(given)
         if own is not None and metres(own) != metres(given):
@@ -69,9 +82,24 @@ def chosen(given: str | None, own: str | None) -> tuple[str, tuple[str, ...]]:
         return given, ()
     if own is not None:
         return own, ()
-    raise GeometryError(
-        f'the file does not say in which unit its numbers are; give one, e.g. unit = "mm" '
-        f"(one of {', '.join(METRES)})"
+    raise NoUnitError(
+        f"the file does not say in which unit its numbers are{f' ({hint})' if hint else ''}; give one, e.g. "
+        f'unit = "mm" (one of {", ".join(METRES)})'
+    )
+
+
+def size_note(size: float, unit: str) -> str | None:
+    """A warning where a drawing of this size, m, was hardly meant in its unit; None where it may well be."""
+    if size == 0.0 or LIKELY[0] <= size <= LIKELY[1]:
+        return None
+    raw = size / metres(unit)
+    others = [
+        name for name in ("mm", "in", "m") if LIKELY[0] <= raw * metres(name) <= LIKELY[1] and name != unit
+    ]
+    instead = " or ".join(f"{raw * metres(name):.4g} m in {name}" for name in others)
+    return (
+        f"the drawing is {size:.4g} m across, read in {unit}: is that so?"
+        f"{f' It would be {instead}: give the unit then' if instead else ''}"
     )
 
 

@@ -27,6 +27,7 @@ from phantomnode.pipeline.shapes import (
     BodyGeometry,
     CartesianGrid,
     CurveGeometry,
+    Drawing,
     FileGrid,
     MappedGrid,
     PolarGrid,
@@ -142,10 +143,10 @@ def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tu
             raise GeometryError(
                 f"no region is named {geometry.region!r}; there are: {', '.join(names) or 'none'}"
             )
-        source = Geometry(chosen, source.curves, source.notes)
+        source = replace(source, regions=chosen)
     elif isinstance(geometry, BodyGeometry) and geometry.file is not None and source.curves:
         note = f"{len(source.curves)} curves of {geometry.file} are no part of an outline and are left out"
-        source = Geometry(source.regions, (), (*source.notes, note))
+        source = replace(source, curves=(), notes=(*source.notes, note))
     placed = shapes.placed(source, geometry.move, geometry.rotate, geometry.scale)
     return placed.regions, source.notes
 
@@ -165,7 +166,7 @@ def _open_ends(curves: tuple[Curve, ...]) -> str:
 def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
     """A body's geometry before it is placed."""
     if geometry.file is not None:
-        return read_geometry(case.path(geometry.file), geometry.unit, trust_scripts=geometry.trust_scripts)
+        return _read(case, geometry)
     if geometry.rectangle is not None:
         return Geometry((shapes.rectangle(geometry.rectangle.low, geometry.rectangle.high),))
     if geometry.circle is not None:
@@ -177,13 +178,25 @@ def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
     return Geometry((shapes.polygon(geometry.polygon.points),))
 
 
+def _read(case: Case, drawing: Drawing) -> Geometry:
+    """The geometry of a file with the options that go with it."""
+    assert drawing.file is not None
+    return read_geometry(
+        case.path(drawing.file),
+        drawing.unit,
+        layers=drawing.layers,
+        without_layers=drawing.without_layers,
+        trust_scripts=drawing.trust_scripts,
+    )
+
+
 def curves_of(
     case: Case, geometry: CurveGeometry, regions: tuple[Region, ...] = ()
 ) -> tuple[tuple[Curve, ...], tuple[str, ...]]:
     """The curves of an interface, placed, with the reader's notes."""
     notes: tuple[str, ...] = ()
     if geometry.file is not None:
-        drawing = read_geometry(case.path(geometry.file), geometry.unit, trust_scripts=geometry.trust_scripts)
+        drawing = _read(case, geometry)
         loops = tuple(loop for region in drawing.regions for loop in region.loops)
         curves, notes = (*drawing.curves, *loops), drawing.notes
     elif geometry.polyline is not None:

@@ -80,13 +80,19 @@ class Drawing(Placement):
 
     file: str | None = Field(default=None, min_length=1, description="CAD file, relative to the case file")
     unit: Unit | None = Field(default=None, description='length unit of the file, such as "mm"')
+    layers: tuple[str, ...] = Field(
+        default=(), description='layers of a DXF file that alone count, by name or pattern ("cut*")'
+    )
+    without_layers: tuple[str, ...] = Field(
+        default=(), description="layers of a DXF file that do not count, by name or pattern"
+    )
     trust_scripts: Switch = Field(
         default=False, description="run commands in a .geo script (it can do anything)"
     )
 
     @model_validator(mode="after")
     def _file_options(self) -> Drawing:
-        for key in ("unit", "region", "trust_scripts"):
+        for key in ("unit", "region", "layers", "without_layers", "trust_scripts"):
             if self.file is None and getattr(self, key, None):
                 raise ValueError(f"{key} belongs to a file, but no file is given; shapes are in metres")
         return self
