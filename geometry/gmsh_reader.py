@@ -17,6 +17,7 @@ import numpy as np
 from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.loops import assemble, join, nest
+from phantomnode.geometry.planes import Plane
 
 GMSH_LIBRARIES = (
     "libglu1-mesa libxcursor1 libxft2 libxinerama1 libxrender1 "
@@ -24,13 +25,14 @@ GMSH_LIBRARIES = (
 )
 """The Debian packages that gmsh's wheel needs and does not bring."""
 
-SOLID = (
-    "this is a 3D part, and a plane problem needs a planar outline: export the section as curves or one flat face "
-    "in the xy plane (constant z)"
-)
+MOST_LISTED = 12
+"""Faces that a message lists, the largest first."""
 
 
-def read_curves(content: bytes, suffix: str, factor: float, time_limit: float) -> Geometry:
+def read_curves(
+    content: bytes, suffix: str, factor: float, time_limit: float, *,
+    face: str | int | None = None, section: tuple[str, float] | None = None,
+) -> Geometry:  # fmt: skip
     """Regions and curves of a file that gmsh reads.
 
     Parameters
@@ -42,14 +44,35 @@ def read_curves(content: bytes, suffix: str, factor: float, time_limit: float) -
     factor : float
         Metres in one unit of gmsh's coordinates.
     time_limit : float, s
+    face : str or int, optional
+        Name or number of the flat face to take.
+    section : (str, float), optional
+        "x", "y" or "z", and where on that axis (metres) to cut solids.
 
     Raises
     ------
     GeometryError
         For anything that gmsh, or the geometry of the file, does not allow.
     """
-    data = run_child("curves", content, suffix, time_limit)
+    at = (section[0], section[1] / factor) if section else None
+    data = run_child({"read": "curves", "face": face, "section": at}, content, suffix, time_limit)
+    if "missed" in data:
+        low, high = (factor * end + 0.0 for end in data["missed"])
+        raise GeometryError(
+            f"the section {section[0]} = {section[1]:g} m misses the part, "  # type: ignore[index]
+            f"which reaches from {low:.6g} to {high:.6g} m"
+        )
+    if "solid" in data:
+        raise GeometryError(_solid(data, factor))
+    plane = Plane(np.array(data["plane"][0]), data["plane"][1])
     notes = list(data["notes"])
+    if plane.frame[2, 2] != 1.0 and section is None:
+        notes.append(f"the outline lies in {plane.words(factor)}; its x and y are {plane.coordinates()}")
+    return _assembled(data, factor, notes)
+
+
+def _assembled(data: dict[str, Any], factor: float, notes: list[str]) -> Geometry:
+    """The outlines of faces as regions, all other curves joined."""
     regions: list[Region] = []
     for group in data["groups"]:
         chains = join(_pieces(group["pieces"], factor))
@@ -68,17 +91,45 @@ def read_curves(content: bytes, suffix: str, factor: float, time_limit: float) -
     return Geometry(tuple(regions), chains.closed + chains.open, (*notes, *chains.notes))
 
 
-def run_child(task: str, content: bytes, suffix: str, time_limit: float) -> dict[str, Any]:
+def _solid(data: dict[str, Any], factor: float) -> str:
+    """Why a 3D model cannot be taken as it is, and what of it can."""
+    solid = data["solid"]
+    what = f"this is a 3D part (solids: {solid['volumes']}, faces: {solid['faces']}), and a plane problem needs a "
+    what += "planar outline"
+    if "no_face" in data:
+        what = f"no face is {data['no_face']!r} among the {solid['faces']} faces"
+    faces = sorted(solid["flat"], key=lambda f: -f["size"][0] * f["size"][1])
+    listed = []
+    for flat in faces[:MOST_LISTED]:
+        plane, (width, height) = Plane(np.array(flat["plane"][0]), flat["plane"][1]), flat["size"]
+        name = f" {flat['name']!r}" if flat["name"] else ""
+        listed.append(
+            f"{flat['number']}{name} ({plane.words(factor)}, {factor * width:.3g} x {factor * height:.3g} m)"
+        )
+    more = f", and {len(faces) - MOST_LISTED} smaller ones" if len(faces) > MOST_LISTED else ""
+    ways = [f"take a flat face by its number or name, face = {faces[0]['number']}"] if faces else []
+    if solid["faces"]:
+        axis = solid["extruded"] or "xyz"[int(np.argmin(np.ptp(solid["box"], axis=0)))]
+        middle = factor * float(np.mean(solid["box"], axis=0)["xyz".index(axis)]) + 0.0
+        through = f" (the middle of what is extruded along {axis})" if solid["extruded"] else ""
+        ways.append(f'cut a section, section = {{ axis = "{axis}", at = {middle:.6g} }}{through}')
+    todo = ", or ".join(ways) or "draw the section in one plane"
+    return f"{what}: {todo}" + (f". Flat faces: {', '.join(listed)}{more}" if listed else "")
+
+
+def run_child(request: dict[str, Any], content: bytes, suffix: str, time_limit: float) -> dict[str, Any]:
     """What :mod:`phantomnode.geometry.gmsh_child` says about a file, in an empty directory of its own."""
     token = secrets.token_hex(16)
     with tempfile.TemporaryDirectory(prefix="phantomnode-", ignore_cleanup_errors=True) as folder:
         source, target = Path(folder, "input" + suffix), Path(folder, "result.json")
         source.write_bytes(content)
-        arguments = [task, source.name, target.name, token, str(int(np.ceil(time_limit)) + 1)]
-        status, said = _finish(arguments, folder, time_limit)
+        seconds = str(int(np.ceil(time_limit)) + 1)
+        status, said = _finish(
+            [json.dumps(request), source.name, target.name, token, seconds], folder, time_limit
+        )
         text = target.read_text(encoding="utf-8") if target.exists() else ""
     if not text.endswith(token):
-        raise GeometryError(f"{_what_happened(status, said)}")
+        raise GeometryError(_what_happened(status, said))
     result: dict[str, Any] = json.loads(text.removesuffix(token))
     if "missing" in result:
         raise GeometryError(
@@ -86,7 +137,7 @@ def run_child(task: str, content: bytes, suffix: str, time_limit: float) -> dict
             f"apt-get install {GMSH_LIBRARIES}"
         )
     if "error" in result:
-        raise GeometryError(f"{SOLID if result['error'] == '3D' else result['error']}")
+        raise GeometryError(result["error"])
     return result
 
 

@@ -70,6 +70,8 @@ def read_geometry(
     without_layers: Sequence[str] = (),
     trust_scripts: bool = False,
     time_limit: float = TIME_LIMIT,
+    face: str | int | None = None,
+    section: tuple[str, float] | None = None,
 ) -> Geometry:
     """Read the regions and curves of a planar CAD file.
 
@@ -90,6 +92,12 @@ def read_geometry(
     trust_scripts : bool
         Let a gmsh script run commands beyond geometry. It can then do whatever you can do.
     time_limit : float, s
+    face : str or int, optional
+        The flat face of a 3D part to take: its name, or its number (gmsh's; the message about a 3D part lists them).
+        Faces of one name are taken together. Coordinates are (x, y) in a plane z = constant, (x, z) in y = constant,
+        (y, z) in x = constant; of an oblique face a note tells them.
+    section : (str, float), optional
+        Axis "x", "y" or "z" and where on it (metres) to cut the solids of a 3D part; coordinates as of a face.
 
     Returns
     -------
@@ -106,6 +114,8 @@ def read_geometry(
         if unit is not None:
             metres(unit)
         if file.kind == "dxf":
+            if face is not None or section is not None:
+                raise GeometryError("a DXF drawing has no faces or solids; leave face and section out")
             from phantomnode.geometry.dxf import read_dxf
 
             geometry = read_dxf(file.content, unit, time_limit, layers, without_layers)
@@ -114,7 +124,7 @@ def read_geometry(
                 f"this is a {_WORDS[file.kind]} file; only DXF drawings have layers to choose from"
             )
         else:
-            geometry = _read_by_gmsh(file, unit, trust_scripts, time_limit)
+            geometry = _read_by_gmsh(file, unit, trust_scripts, time_limit, face, section)
         if not geometry.regions and not geometry.curves:
             raise GeometryError("the file holds no curve of any length")
     loops = [loop for region in geometry.regions for loop in region.loops]
@@ -145,7 +155,7 @@ def read_quads(
                 f"this is a {_WORDS[file.kind]} file; a background grid is read from a gmsh mesh (.msh)"
             )
         factor = metres(chosen(unit, None)[0])
-        data = run_child("quads", file.content, ".msh", time_limit)
+        data = run_child({"read": "quads"}, file.content, ".msh", time_limit)
         xy = np.array(data["xy"], dtype=np.float64) * factor
         xy, quads = renumbered(xy, np.array(data["quads"], dtype=np.int64))
         _check_convex(xy[quads])
@@ -174,7 +184,10 @@ def _check_convex(corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) ->
         )
 
 
-def _read_by_gmsh(file: _File, unit: str | None, trust_scripts: bool, time_limit: float) -> Geometry:
+def _read_by_gmsh(
+    file: _File, unit: str | None, trust_scripts: bool, time_limit: float,
+    face: str | int | None, section: tuple[str, float] | None,
+) -> Geometry:  # fmt: skip
     """A file of the gmsh family; gmsh gives STEP and IGES in mm, all others in their own numbers."""
     from phantomnode.geometry.gmsh_reader import read_curves
 
@@ -191,7 +204,7 @@ def _read_by_gmsh(file: _File, unit: str | None, trust_scripts: bool, time_limit
     if file.kind in ("step", "iges"):
         # gmsh gives these in millimetres, by the unit in the file (millimetres where it has none).
         factor = 1e-3 if name == own else 1e-3 * metres(name) / metres(own or "mm")
-    geometry = read_curves(content, _SUFFIXES[file.kind], factor, time_limit)
+    geometry = read_curves(content, _SUFFIXES[file.kind], factor, time_limit, face=face, section=section)
     return replace(geometry, notes=(*notes, *geometry.notes), unit=name)
 
 

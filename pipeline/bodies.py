@@ -181,12 +181,15 @@ def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
 def _read(case: Case, drawing: Drawing) -> Geometry:
     """The geometry of a file with the options that go with it."""
     assert drawing.file is not None
+    cut = drawing.section
     return read_geometry(
         case.path(drawing.file),
         drawing.unit,
         layers=drawing.layers,
         without_layers=drawing.without_layers,
         trust_scripts=drawing.trust_scripts,
+        face=drawing.face,
+        section=None if cut is None else (cut.axis, cut.at),
     )
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from phantomnode.pipeline.values import (
+    Count,
     Counts,
     Name,
     Number,
@@ -75,6 +76,15 @@ class Polyline(Table):
     points: tuple[Vector, ...] = Field(min_length=2, description="two or more points [x, y], m")
 
 
+class Section(Table):
+    """Where solids are cut: the plane in which one coordinate has a value."""
+
+    axis: Literal["x", "y", "z"] = Field(
+        description='"z" gives an outline in (x, y), "y" in (x, z), "x" in (y, z)'
+    )
+    at: Number = Field(description="the value of that coordinate, m")
+
+
 class Drawing(Placement):
     """A geometry that may come from a file."""
 
@@ -90,9 +100,22 @@ class Drawing(Placement):
         default=False, description="run commands in a .geo script (it can do anything)"
     )
 
+    face: (
+        Annotated[
+            Annotated[Count, Tag("=number")] | Annotated[str, Field(min_length=1), Tag("=text")],
+            Discriminator(kind_of_value),
+        ]
+        | None
+    ) = Field(default=None, description="name or number of the flat face of a 3D part to take")
+    section: Section | None = Field(
+        default=None, description='where to cut the solids of a 3D part: { axis = "z", at = 0.005 }'
+    )
+
     @model_validator(mode="after")
     def _file_options(self) -> Drawing:
-        for key in ("unit", "region", "layers", "without_layers", "trust_scripts"):
+        if self.face is not None and self.section is not None:
+            raise ValueError("face and section are both given; give the one to take")
+        for key in ("unit", "region", "layers", "without_layers", "trust_scripts", "face", "section"):
             if self.file is None and getattr(self, key, None):
                 raise ValueError(f"{key} belongs to a file, but no file is given; shapes are in metres")
         return self

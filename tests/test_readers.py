@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 import ezdxf
 import numpy as np
 import pytest
+from cad import by_gmsh
 
 from phantomnode.geometry import gmsh_reader
 from phantomnode.geometry.curves import Curve, Geometry, arc_centre
@@ -21,20 +20,6 @@ EXACT = 1e-12
 
 CHORD = 1e-6
 """The chord error of free-form curves over the diagonal."""
-
-
-def by_gmsh(folder: Path, body: str, *names: str) -> tuple[Path, ...]:
-    """Files that gmsh writes of a model, in a process of its own."""
-    lines = [
-        "import gmsh, sys",
-        "gmsh.initialize(interruptible=False)",
-        "gmsh.option.setNumber('General.Terminal', 0)",
-        "occ, geo, model, mesh = gmsh.model.occ, gmsh.model.geo, gmsh.model, gmsh.model.mesh",
-        body,
-        *(f"gmsh.write({str(folder / name)!r})" for name in names),
-    ]
-    subprocess.run([sys.executable, "-c", "\n".join(lines)], check=True, capture_output=True, timeout=60)
-    return tuple(folder / name for name in names)
 
 
 def drawing(path: Path, draw: Callable[[Any], None], units: int = 4) -> Path:
