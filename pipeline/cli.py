@@ -274,28 +274,34 @@ def new(
 
 @app.command
 def report(
-    folders: Annotated[tuple[Path, ...], Parameter(name="DIR", help="Results folders of runs.")],
+    folders: Annotated[
+        tuple[Path, ...], Parameter(name="DIR", help="Results folders of runs, or one of a batch.")
+    ],
     /,
     *,
     out: Annotated[
-        Path | None, Parameter(help="Folder for the pictures; the first DIR unless given.")
+        Path | None, Parameter(help="Folder for the page and the pictures; the first DIR unless given.")
     ] = None,
 ) -> int:
-    """Draw the profiles of runs over each other (with those of their variants).
+    """Write one HTML page of a run or a batch; of several runs, one that compares them. Profiles go over each other.
+
+    The page needs no network: whether the run can be trusted and why, pictures, histories and contact pressures to
+    point at, the bodies over time to move about in, timings, where it comes from.
 
     For example:
 
     ```
-    phantomnode report results/split_block_wave
+    phantomnode report results/ring_impact
     phantomnode report results/coarse results/fine --out results
     ```
     """
 
     def command(console: Console) -> int:
-        from phantomnode.pipeline.report import report_runs
+        from phantomnode.pipeline.report import write_report
 
-        for picture in report_runs(folders, out or folders[0]):
-            console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
+        for file in write_report(folders, out or folders[0]):
+            what = "report  " if file.suffix == ".html" else "picture "
+            console.print(f"{what}  {file}", soft_wrap=True, highlight=False)
         return DONE
 
     return guarded(command)

@@ -14,7 +14,6 @@ from phantomnode.pipeline.messages import listed, suggestion
 from phantomnode.pipeline.results import History, Results, Surface, Time
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 Floats = NDArray[np.float64]
@@ -44,7 +43,7 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
     frames = [results.contact(time) for time in times]
     raw = [frame.of_pair(number, "pressure")[along.order] for frame in frames]
     smooth = [frame.of_pair(number, "pressure_filtered")[along.order] for frame in frames]
-    along, order = _unrolled(along, np.max([*raw, *smooth], axis=0) > 0.0)
+    along, order = unrolled(along, np.max([*raw, *smooth], axis=0) > 0.0)
     arc_factor, arc_unit = readable(along.length, "m")
     factor, unit = readable(np.array(smooth), "Pa")
 
@@ -59,7 +58,7 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
         axes.plot(
             x, np.insert(rough[order] * factor, breaks, np.nan), lw=0.7, alpha=0.4, color=line.get_color()
         )
-    _zoom_to_touch(axes, x, np.insert(np.max([*raw, *smooth], axis=0)[order], breaks, 0.0))
+    axes.set_xlim(touched_range(x, np.insert(np.max([*raw, *smooth], axis=0)[order], breaks, 0.0)))
     axes.set_ylim(bottom=0.0)
     from_where = " from ({:.4g}, {:.4g}) m".format(*along.start)
     axes.set_xlabel(f"arc length along the undeformed surface{from_where}, {arc_unit}")
@@ -74,7 +73,7 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
     return figure
 
 
-def _unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.int64]]:
+def unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.int64]]:
     """A closed surface cut open in the middle of its longest stretch without contact, and its new order.
 
     ``touched`` (k,) tells of each segment along the surface whether it ever bears.
@@ -99,13 +98,14 @@ def _place_at(along: Surface, arc: float) -> Floats:
     return np.array([np.interp(arc, until, corners[:, axis]) for axis in (0, 1)])
 
 
-def _zoom_to_touch(axes: Axes, x: Floats, pressure: Floats) -> None:
-    """Show the stretch of the surface that bears, where it is a small part of it."""
-    on = x[pressure > 0.0]
-    if len(on):
-        low, high = float(on.min()), float(on.max())
-        space = max(BESIDE * (high - low), 0.01 * float(np.nanmax(x)))
-        axes.set_xlim(max(low - space, 0.0), min(high + space, float(np.nanmax(x))))
+def touched_range(x: Floats, pressure: Floats) -> tuple[float, float]:
+    """The stretch of (k,) places that ever bears, and a little beside it; all where nothing does."""
+    on, last = x[pressure > 0.0], float(np.nanmax(x))
+    if len(on) == 0:
+        return 0.0, last
+    low, high = float(on.min()), float(on.max())
+    space = max(BESIDE * (high - low), 0.01 * last)
+    return max(low - space, 0.0), min(high + space, last)
 
 
 def draw_history(results: Results, what: str) -> Figure:
@@ -117,7 +117,7 @@ def draw_history(results: Results, what: str) -> Figure:
         Naming what there is.
     """
     history = results.history
-    panels = _panels(results, what)
+    panels = history_panels(results, what)
     figure = new_figure(8.0, 1.2 + 3.2 * len(panels))
     factor, unit = readable(float(history.time[-1]), "s")
     column = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
@@ -133,7 +133,7 @@ def draw_history(results: Results, what: str) -> Figure:
     return figure
 
 
-def _panels(results: Results, what: str) -> list[tuple[str, str, Curves]]:
+def history_panels(results: Results, what: str) -> list[tuple[str, str, Curves]]:
     """Label, SI unit and curves of each panel of a picture."""
     history = results.history
     if what == "energies":
@@ -159,6 +159,16 @@ def _panels(results: Results, what: str) -> list[tuple[str, str, Curves]]:
     raise CaseError(f"{what!r} is no history{suggestion(what, known)}; there are: {listed(known)}")
 
 
+def histories_of(results: Results) -> list[str]:
+    """Those of ``HISTORIES`` that a run has: not every case has contact pairs or boundaries."""
+    there = {
+        "forces": bool(results.pairs),
+        "reactions": bool(results.history.names("reaction.")),
+        "quality": "dt" in results.summary,
+    }
+    return [what for what in HISTORIES if there.get(what, True)]
+
+
 def energies(history: History) -> dict[str, Floats]:
     """Energies that are not zero throughout, and their balance, J/m."""
     curves = {label: history[name] for name, label in ENERGIES.items() if np.any(history[name])}
@@ -175,7 +185,7 @@ def _steps(results: Results) -> Curves:
     step = results.summary.get("dt")
     if step is None:
         raise CaseError(f"{results.path}: the run has not ended (no summary.json); its step is not known yet")
-    return {"of the deformed state, nothing kept for safety": stable / step}
+    return {"stable in the deformed state": stable / step, "taken": np.ones_like(stable)}
 
 
 def _components(history: History, kind: str, letter: str, results: Results) -> dict[str, Floats]:

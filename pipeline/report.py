@@ -1,13 +1,55 @@
-"""Pictures that compare runs."""
+"""``phantomnode report``: pages and pictures of a run, of a batch, of runs beside each other."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
+from phantomnode.pipeline.cases_page import PAGE, cases_page, compared_cases, compared_runs, table_of
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.profile import draw_profiles
-from phantomnode.pipeline.run import VARIANTS
+from phantomnode.pipeline.results import VARIANTS, open_results
+from phantomnode.pipeline.run_page import run_page
+
+COMPARISON = "comparison.html"
+
+
+def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
+    """Write the page of a run or a batch, or one that compares runs, and their profiles over each other.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Results folders.
+    out : Path
+        Where the page and pictures go; made where it is missing.
+
+    Returns
+    -------
+    list of Path
+        The page, then the pictures.
+
+    Raises
+    ------
+    CaseError
+        Where a folder holds no results.
+    """
+    batches = [folder for folder in folders if _is_batch(folder)]
+    if batches and len(folders) > 1:
+        raise CaseError(f"{batches[0]}: holds a batch; a batch has a report of its own: name it alone")
+    out.mkdir(parents=True, exist_ok=True)
+    if batches:
+        text = cases_page(folders[0].resolve().name, compared_cases(folders[0]), folders[0])
+        return [_written(out / PAGE, text)]
+    runs = runs_of(folders)
+    profiles = draw_profiles(runs, out)
+    if len(folders) > 1:
+        text = cases_page("Runs beside each other", compared_runs(runs), out, profiles)
+        return [_written(out / COMPARISON, text), *profiles]
+    variants = table_of(compared_runs(runs), folders[0]) if len(runs) > 1 else None
+    text = run_page(open_results(folders[0]), profiles, variants)
+    return [_written(out / PAGE, text), *profiles]
 
 
 def report_runs(folders: Sequence[Path], out: Path) -> list[Path]:
@@ -23,16 +65,37 @@ def report_runs(folders: Sequence[Path], out: Path) -> list[Path]:
     Raises
     ------
     CaseError
-        Where a folder holds no finished run, or none of them a profile.
+        Where a folder holds no run, or none of them a profile.
     """
-    runs: dict[str, Path] = {}
-    for folder in folders:
-        if not (folder / "summary.json").is_file():
-            raise CaseError(f"{folder}: holds no results of a run (no summary.json)")
-        for run in (folder, *sorted(p.parent for p in folder.glob(f"{VARIANTS}/*/summary.json"))):
-            name = run.resolve().name
-            runs[name if name not in runs else str(run)] = run
+    runs = runs_of(folders)
     if not any(any(folder.glob("profile.*.csv")) for folder in runs.values()):
         raise CaseError("these runs wrote no profile; ask for one with [output.profile.NAME] in the case")
     out.mkdir(parents=True, exist_ok=True)
     return draw_profiles(runs, out)
+
+
+def runs_of(folders: Sequence[Path]) -> dict[str, Path]:
+    """The runs in some folders and their variants, by their names.
+
+    Raises
+    ------
+    CaseError
+        Where a folder holds no run.
+    """
+    runs: dict[str, Path] = {}
+    for folder in folders:
+        if not (folder / "history.csv").is_file():
+            raise CaseError(f"{folder}: holds no results of a run (no history.csv)")
+        for run in (folder, *sorted(p.parent for p in folder.glob(f"{VARIANTS}/*/history.csv"))):
+            name = run.resolve().name
+            runs[name if name not in runs else str(run)] = run
+    return runs
+
+
+def _is_batch(folder: Path) -> bool:
+    return (folder / "results.csv").is_file() and not (folder / "history.csv").is_file()
+
+
+def _written(path: Path, text: str) -> Path:
+    write_atomically(path, text)
+    return path

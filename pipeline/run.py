@@ -23,6 +23,7 @@ from phantomnode.pipeline.observer import Ending, Observer, sample_steps
 from phantomnode.pipeline.preflight import report, steps_of
 from phantomnode.pipeline.profile import draw_profiles, profile_steps, stations
 from phantomnode.pipeline.provenance import case_hash, provenance
+from phantomnode.pipeline.results import VARIANTS
 from phantomnode.pipeline.runlog import RunLog
 from phantomnode.pipeline.start import Start, new_start, resumed_start
 from phantomnode.pipeline.stopping import Stopping, WallLimit
@@ -36,9 +37,6 @@ if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
 
 Value = TypeVar("Value")
-
-VARIANTS = "variants"
-"""Folder, within the results of a case, of the results of its variants."""
 
 
 def run(

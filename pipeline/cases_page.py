@@ -1,0 +1,234 @@
+"""The page that compares runs: the cases of a batch, a run with its variants, or runs side by side."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.one_case import DONE
+from phantomnode.pipeline.outputs import CASE_COLUMNS, SCALARS, known_outputs, output_of
+from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render
+from phantomnode.pipeline.results import open_results
+
+PAGE = "report.html"
+GALLERY, THUMBNAIL = 12, 560
+"""Cases whose picture is shown, and its width in pixels."""
+SHOWN = ("peak_contact_force.", "largest_penetration.", "energy_error_max", "smallest_J", "wall_s")
+"""Outputs that the table shows, or their beginnings; the chart offers all."""
+
+
+class Compared(NamedTuple):
+    """One run of a comparison.
+
+    name: of the case; folder: of its results; status and reason: how it ended; inputs: by the names of the axes;
+    outputs: by their names, None where there is none; doubts: the checks that it did not keep, None where it has
+    none at all.
+    """
+
+    name: str
+    folder: Path
+    status: str
+    reason: str
+    inputs: dict[str, Any]
+    outputs: dict[str, float | None]
+    doubts: tuple[str, ...] | None
+
+
+def compared_cases(batch: Path) -> list[Compared]:
+    """The cases of a batch, from its results.csv and their summaries.
+
+    Raises
+    ------
+    CaseError
+        Where the table is not one of a batch.
+    """
+    with (batch / "results.csv").open(encoding="utf-8", newline="") as text:
+        rows = list(csv.DictReader(text))
+    if not rows or not set(CASE_COLUMNS) <= set(rows[0]):
+        raise CaseError(f"{batch / 'results.csv'}: is no table of a batch")
+    values = [name for name in rows[0] if name not in CASE_COLUMNS]
+    outputs = [name for name in values if "." in name or name in SCALARS]
+    axes = [name for name in values if name not in outputs]
+    return [
+        Compared(
+            row["case"], batch / row["folder"], row["status"], row["reason"],
+            {name: _value(row[name]) for name in axes},
+            {name: _number(row[name]) for name in outputs},
+            _doubts(_summary(batch / row["folder"])),
+        )
+        for row in rows
+    ]  # fmt: skip
+
+
+def compared_runs(folders: dict[str, Path]) -> list[Compared]:
+    """Runs by their names, from their summaries; the outputs are those of all of them.
+
+    Raises
+    ------
+    CaseError
+        Where one has no results.
+    """
+    runs = []
+    for name, folder in folders.items():
+        results, summary = open_results(folder), _summary(folder)
+        outputs = {one: output_of(summary, one) for one in known_outputs(results.case)}
+        status, reason = summary.get("status", "not ended"), summary.get("reason", "")
+        runs.append(Compared(name, folder, status, reason, {"run": name}, outputs, _doubts(summary)))
+    return runs
+
+
+def cases_page(title: str, cases: Sequence[Compared], home: Path, profiles: Sequence[Path] = ()) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    title : str
+    cases : sequence of Compared
+    home : Path
+        The folder of the page, from which its links lead to those of the cases.
+    profiles : sequence of Path
+        Pictures that compare the cases.
+    """
+    axes = list(cases[0].inputs)
+    done = sum(case.status == DONE for case in cases)
+    doubtful = [case for case in cases if case.doubts]
+    varied = [f"{name}: {_listed([case.inputs[name] for case in cases])}" for name in axes if name != "run"]
+    lead = f"{len(doubtful)} of them kept not all of their checks." if doubtful else ""
+    pictures = [
+        *(picture_in(file, f"Profile: {file.stem}") for file in profiles),
+        *_plots(home),
+        *_gallery(cases),
+    ]
+    return render(
+        "cases.html",
+        {"comparison": _comparison(cases)},
+        title=title,
+        trusted=done == len(cases) and not doubtful,
+        headline=f"{done} of {len(cases)} cases are done.",
+        lead=lead or ("All kept their checks." if done == len(cases) else ""),
+        axes=varied,
+        comparison=done > 0,
+        table=table_of(cases, home),
+        troubles=[
+            {"name": case.name, "text": f"{case.status}: {case.reason}"} for case in cases if case.reason
+        ],
+        pictures=pictures,
+    )
+
+
+def table_of(cases: Sequence[Compared], home: Path) -> Table:
+    """The cases as rows: inputs, status, whether they can be trusted, the outputs that tell most."""
+    axes = [name for name in cases[0].inputs if name != "run"]
+    outputs = [name for name in _outputs(cases) if name.startswith(SHOWN)]
+    rows = []
+    for case in cases:
+        link = f"{case.folder.name}/{PAGE}" if case.folder.parent == home else ""
+        name = Cell(case.name, "", link if link and (case.folder / PAGE).is_file() else "")
+        row = [_cell(case.inputs[name]) for name in axes]
+        row.append(Cell(case.status, "good" if case.status == DONE else "look"))
+        row.append(_checks(case.doubts))
+        row += [_cell(case.outputs.get(name)) for name in outputs]
+        rows.append([*row, name] if axes else [name, *row])
+    columns = [*axes, "status", "checks", *outputs]
+    return Table([*columns, "case"] if axes else ["case", *columns], rows)
+
+
+def _checks(doubts: tuple[str, ...] | None) -> Cell:
+    """Which checks a run did not keep."""
+    if doubts is None:
+        return Cell("")
+    return Cell(", ".join(doubts), "look") if doubts else Cell("kept", "good")
+
+
+def _comparison(cases: Sequence[Compared]) -> dict[str, Any]:
+    """What the chart draws: axes and outputs, a value a case."""
+    return {
+        "axes": [
+            {"name": name, "values": [_plain(case.inputs[name]) for case in cases]}
+            for name in cases[0].inputs
+        ],
+        "outputs": [
+            {"name": name, "values": [case.outputs.get(name) for case in cases]}
+            for name in sorted(_outputs(cases), key=lambda name: not name.startswith(SHOWN))
+        ],
+    }
+
+
+def _outputs(cases: Sequence[Compared]) -> list[str]:
+    """The names of all outputs that some case has."""
+    names = dict.fromkeys(name for case in cases for name in case.outputs)
+    return [name for name in names if any(case.outputs.get(name) is not None for case in cases)]
+
+
+def _plots(home: Path) -> list[Picture]:
+    """The pictures that the sweep asked for."""
+    return [picture_in(file, file.stem) for file in sorted(home.glob("plot.*.png"))]
+
+
+def _gallery(cases: Sequence[Compared]) -> list[Picture]:
+    """The bodies of the first cases at their peaks, small."""
+    from PIL import Image
+
+    files = [(case.name, case.folder / "peak.png") for case in cases]
+    pictures = []
+    for name, file in [(name, file) for name, file in files if file.is_file()][:GALLERY]:
+        with Image.open(file) as image:
+            image.thumbnail((THUMBNAIL, 2 * THUMBNAIL))
+            content = BytesIO()
+            image.convert("RGB").quantize(192).save(content, format="png", optimize=True)
+        pictures.append(Picture(data_url(content.getvalue()), name))
+    return pictures
+
+
+def _summary(folder: Path) -> dict[str, Any]:
+    """summary.json of a run; empty where it has not ended."""
+    try:
+        content: dict[str, Any] = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    return content
+
+
+def _doubts(summary: dict[str, Any]) -> tuple[str, ...] | None:
+    """The checks that a run did not keep; None where it has none."""
+    checks = summary.get("checks")
+    return tuple(check["name"] for check in checks if not check["passed"]) if checks else None
+
+
+def _value(text: str) -> Any:
+    """A value of results.csv: a number or list as JSON, or a text."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text
+
+
+def _number(text: str) -> float | None:
+    value = _value(text)
+    return float(value) if isinstance(value, int | float) else None
+
+
+def _plain(value: Any) -> float | str:
+    """A place along an axis of the chart: a number, or a word."""
+    return (
+        value if isinstance(value, int | float | str) and not isinstance(value, bool) else json.dumps(value)
+    )
+
+
+def _cell(value: Any) -> Cell:
+    if isinstance(value, int | float):
+        return Cell(f"{value:.5g}", "number")
+    return Cell("" if value is None else str(_plain(value)))
+
+
+def _listed(values: Sequence[Any]) -> str:
+    """The different values of an axis, not too many of them."""
+    different = list(dict.fromkeys(_cell(value).text for value in values))
+    if len(different) <= 12:
+        return ", ".join(different)
+    return f"{', '.join(different[:6])}, ..., {different[-1]} ({len(different)} values)"

@@ -1,0 +1,71 @@
+"""The charts of a page: histories and contact pressures as data for its script."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.pipeline.curve_pictures import histories_of, history_panels, touched_range, unrolled
+from phantomnode.pipeline.drawing import readable
+from phantomnode.pipeline.packing import packed
+from phantomnode.pipeline.results import Results
+
+Floats = NDArray[np.float64]
+
+
+def chart(title: str, x: Floats, x_label: str, y_label: str, curves: Mapping[str, Floats]) -> dict[str, Any]:
+    """One chart: its labels, (k,) places and curves, float32."""
+    return {
+        "title": title,
+        "x": packed(x.astype(np.float32)),
+        "xLabel": x_label,
+        "yLabel": y_label,
+        "series": [
+            {"label": name, "values": packed(values.astype(np.float32))} for name, values in curves.items()
+        ],
+    }
+
+
+def history_charts(results: Results) -> list[dict[str, Any]]:
+    """Energies, forces, reactions, motion and quality over time, as far as the case has them."""
+    time = results.history.time
+    factor, unit = readable(float(time[-1]), "s")
+    charts = []
+    for what in histories_of(results):
+        for label, si, curves in history_panels(results, what):
+            scale, shown = readable(np.concatenate(list(curves.values())), si)
+            scaled = {name: values * scale for name, values in curves.items()}
+            title = label[0].upper() + label[1:]
+            charts.append(chart(title, time * factor, f"time, {unit}", shown, scaled))
+    return charts
+
+
+def pressure_charts(results: Results, times: Sequence[float]) -> list[dict[str, Any]]:
+    """The contact pressure of each pair over arc length at some times, (frames, segments)."""
+    frames = [results.contact(time) for time in times] if results.pairs else []
+    charts = []
+    for number, pair in enumerate(results.pairs):
+        along = results.surface(pair)
+        smooth = np.stack([f.of_pair(number, "pressure_filtered")[along.order] for f in frames])
+        along, order = unrolled(along, smooth.max(axis=0) > 0.0)
+        factor, unit = readable(smooth, "Pa")
+        arc_factor, arc_unit = readable(along.length, "m")
+        x = along.arc * arc_factor
+        slave = results.table["contact"][pair]["slave"]
+        charts.append(
+            {
+                "title": f"Contact pressure of {pair} along {slave}",
+                "x": packed(x.astype(np.float32)),
+                "xRange": touched_range(x, smooth[:, order].max(axis=0)),
+                "xLabel": f"arc length, {arc_unit}",
+                "yLabel": unit,
+                "note": "Through the hat filter, on the undeformed surface; the arc length begins at "
+                "({:.4g}, {:.4g}) m.".format(*along.start),
+                "largest": float(smooth.max() * factor),
+                "frames": packed((smooth[:, order] * factor).astype(np.float32)),
+            }
+        )
+    return charts

@@ -1,0 +1,238 @@
+"""The page of one run: what was run, whether it can be trusted, what came out, in pictures and charts."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from phantomnode.pipeline.curve_pictures import draw_pressure
+from phantomnode.pipeline.drawing import moment, readable
+from phantomnode.pipeline.field_pictures import draw_field
+from phantomnode.pipeline.messages import shown
+from phantomnode.pipeline.page_charts import history_charts, pressure_charts
+from phantomnode.pipeline.pages import Picture, Table, picture_in, picture_of, render
+from phantomnode.pipeline.results import Results
+from phantomnode.pipeline.trust import Finding, findings, trusted
+from phantomnode.pipeline.view_data import view_data
+
+PRESSURE_TIMES = 4
+"""Curves in the picture of the contact pressure."""
+UNENDED = Finding(
+    False,
+    "End",
+    "The run has not ended: it is under way, or was killed; phantomnode run DIR --resume goes on with it.",
+)
+
+
+def run_page(results: Results, profiles: Sequence[Path] = (), variants: Table | None = None) -> str:
+    """The page.
+
+    Parameters
+    ----------
+    results : Results
+    profiles : sequence of Path
+        Pictures of profiles, of the run and its variants.
+    variants : Table, optional
+        The run and its variants beside each other.
+
+    Raises
+    ------
+    CaseError
+        Where a file of the results cannot be read.
+    """
+    figures = results.summary
+    found = findings(figures) if figures else [UNENDED]
+    view = view_data(results)
+    times = view["times"] if view else [float(results.times[results.nearest("peak")])]
+    data = {
+        "view": view,
+        "start": view["start"] if view else 0,
+        "histories": history_charts(results),
+        "pressures": pressure_charts(results, times),
+    }
+    return render(
+        "run.html",
+        data,
+        title=results.title,
+        trusted=trusted(found),
+        status=f"Run {figures.get('status', 'not ended')}",
+        lead=_lead(found),
+        bodies=list(_bodies(results)),
+        acting=list(_acting(results)),
+        findings=found,
+        outcome=list(_outcome(figures)),
+        view=view is not None,
+        view_every=view["every"] if view else 1,
+        frames=len(results.times),
+        pictures=[*_pictures(results), *(picture_in(file, f"Profile: {file.stem}") for file in profiles)],
+        variants=variants,
+        timings=list(_timings(figures)),
+        provenance=list(_provenance(results)),
+        case_file=(results.path / "case.toml").read_text(encoding="utf-8"),
+    )
+
+
+def _lead(found: list[Finding]) -> str:
+    """What is to be looked at, in one line."""
+    bad = [finding.subject.lower() for finding in found if not finding.passed]
+    return f"To look at: {', '.join(bad)}." if bad else "Every check is kept; the figures are below."
+
+
+def _bodies(results: Results) -> Iterator[dict[str, str]]:
+    """Each body in a sentence or two."""
+    figures, table = results.summary, results.table
+    for name, body in table["body"].items():
+        material = table["material"][body["material"]]
+        stiff, unit = readable(material["E"], "Pa")
+        text = (
+            f"{_shape(body['geometry'])}; {body['material']}: E = {material['E'] * stiff:g} {unit}, "
+            f"ν = {material['nu']:g}, ρ = {material['rho']:g} kg/m³; {_grid(table, body)}"
+        )
+        if any(body["initial_velocity"]):
+            text += "; starts at ({:g}, {:g}) m/s".format(*body["initial_velocity"])
+        if "area" in figures:
+            text += f"; {figures['area'][name]['cut']:.5g} m², {figures['mass'][name]:.5g} kg a metre of thickness"
+        yield {"name": name, "text": f"{text}."}
+
+
+def _shape(geometry: dict[str, Any]) -> str:
+    """Where the outline comes from."""
+    if "file" in geometry:
+        return f"outline from {geometry['file']}"
+    return next(kind for kind in ("rectangle", "circle", "ring", "polygon") if kind in geometry)
+
+
+def _grid(table: dict[str, Any], body: dict[str, Any]) -> str:
+    """The grid of a body."""
+    grid = body["grid"]
+    if isinstance(grid, str):
+        grid = table["grid"][grid]
+    if "file" in grid:
+        return f"grid from {grid['file']}"
+    size = f"cells of {shown(grid['cell'])} m" if "cell" in grid else f"{shown(grid.get('counts'))} cells"
+    return f"{grid['kind']} grid, {size}"
+
+
+def _acting(results: Results) -> Iterator[str]:
+    """Contact pairs, obstacles, boundaries, gravity."""
+    table = results.table
+    for name, pair in table.get("contact", {}).items():
+        rubbing = f"friction {pair['friction']:g}" if pair["friction"] else "no friction"
+        yield f"Contact {name}: {pair['slave']} on {pair['master']}, {rubbing}, penalty {_penalty(pair)}."
+    for name in table.get("rigid", {}):
+        yield f"Rigid obstacle {name}."
+    for name, boundary in table.get("boundary", {}).items():
+        kinds = ("displacement", "velocity", "acceleration", "traction", "pressure")
+        kind = next(kind for kind in kinds if kind in boundary)
+        yield f"Boundary {name}: {kind} {_directions(boundary[kind])} on {_words(boundary['on'])}."
+    if any(table.get("gravity", ())):
+        yield f"Gravity {shown(table['gravity'])} m/s²."
+    method = "phantom nodes" if table.get("method", "phantom") == "phantom" else "classic X-FEM"
+    yield f"To {moment(table['time']['end'])}, by {method}, in plane strain; all forces are per metre of thickness."
+
+
+def _penalty(pair: dict[str, Any]) -> str:
+    """The penalty of a pair: "auto", "100 E", "1e+12 Pa/m"."""
+    penalty = pair.get("penalty", "auto")
+    if isinstance(penalty, str):
+        return penalty
+    return f"{penalty['times_E']:g} E" if "times_E" in penalty else f"{penalty['value']:g} Pa/m"
+
+
+def _directions(value: Any) -> str:
+    """Values in x and y, or a single one: "x = 0, y = -0.1*t"."""
+    if isinstance(value, dict) and "t" not in value:
+        return ", ".join(f"{axis} = {_words(one)}" for axis, one in value.items())
+    return _words(value)
+
+
+def _words(value: Any) -> str:
+    """A value of a case: text without its quotes, numbers in a few digits."""
+    if isinstance(value, str):
+        return value
+    return f"{value:g}" if isinstance(value, int | float) else shown(value)
+
+
+def _velocities(velocity: dict[str, list[float]]) -> tuple[str, str]:
+    """Velocities at the start and the end, without what is only rounding."""
+    rounding = 1e-5 * max(abs(part) for when in velocity.values() for part in when)
+    start, end = (
+        "({:.4g}, {:.4g})".format(*(part if abs(part) > rounding else 0.0 for part in velocity[when]))
+        for when in ("start", "end")
+    )
+    return start, end
+
+
+def _outcome(figures: dict[str, Any]) -> Iterator[str]:
+    """Contact phases, forces and velocities."""
+    for name, phases in figures.get("contact_phases", {}).items():
+        peak, unit = readable(figures["peak_contact_force"][name], "N/m")
+        spans = ", ".join(f"{moment(start)} to {moment(end)}" for start, end in phases[:6])
+        more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
+        touched = f"touches {spans}{more}" if phases else "never touches"
+        force = f"; peak force {figures['peak_contact_force'][name] * peak:.4g} {unit}" if phases else ""
+        yield f"{name} {touched}{force}."
+    for name, peak_force in figures.get("peak_reaction", {}).items():
+        factor, unit = readable(peak_force, "N/m")
+        yield f"Boundary {name}: largest force {peak_force * factor:.4g} {unit}."
+    for name, velocity in figures.get("velocity", {}).items():
+        start, end = _velocities(velocity)
+        yield f"{name}: velocity of the centre of mass {start} m/s at the start, {end} m/s at the end."
+
+
+def _pictures(results: Results) -> Iterator[Picture]:
+    """The bodies at the peak, and the contact pressures at some times."""
+    frame = results.frame("peak")
+    caption = f"von Mises stress at {moment(frame.time)}, the frame of the largest internal energy"
+    yield picture_of(draw_field(frame, "von_mises", results.title), caption)
+    for pair in results.pairs:
+        if times := _pressure_times(results, pair):
+            yield picture_of(draw_pressure(results, pair, times), f"Contact pressure of {pair}")
+
+
+def _pressure_times(results: Results, pair: str) -> list[float]:
+    """Frames in which a pair bears, spread over the time of its contact, the one of the largest force among them."""
+    history = results.history
+    size = np.hypot(history[f"contact.{pair}.fx"], history[f"contact.{pair}.fy"])
+    force = np.interp(results.times, history.time, size)
+    bearing = np.flatnonzero(force > 0.01 * force.max()) if force.max() > 0.0 else np.zeros(0, dtype=int)
+    if len(bearing) == 0:
+        return []
+    spread = bearing[np.linspace(0, len(bearing) - 1, PRESSURE_TIMES).astype(int)]
+    return [float(results.times[k]) for k in sorted({*spread.tolist(), int(np.argmax(force))})]
+
+
+def _timings(figures: dict[str, Any]) -> Iterator[str]:
+    """Wall times and rates."""
+    if not figures:
+        yield "They are known when the run has ended."
+        return
+    counts, rate = figures["counts"], figures["element_updates_per_s"]
+    yield (
+        f"{figures['wall_s']:.3g} s in all, {figures['step_loop_s']:.3g} s of them {figures['steps']} steps "
+        "(the first run of a version compiles the kernels)."
+    )
+    yield f"{rate / 1e6:.3g} million element updates a second, on {figures['provenance']['threads']} thread(s)."
+    yield f"{counts['elements']} elements, {counts['nodes']} nodes, {counts['contact_points']} contact points."
+
+
+def _provenance(results: Results) -> Iterator[tuple[str, str]]:
+    """Version, command, machine, packages, hash."""
+    figures = results.summary
+    if figures:
+        source = figures["provenance"]
+        yield "version", f"phantomnode {figures['version']}"
+        if source["command"]:
+            yield "command", shlex.join(source["command"])
+        yield "case", f"{figures['case']}, SHA-256 {figures['case_hash']}"
+        machine = source["machine"]
+        yield "machine", f"{machine['processor']}, {machine['cores']} cores, {machine['system']}"
+        packages = ", ".join(f"{name} {version}" for name, version in source["packages"].items())
+        yield "packages", f"Python {source['python']}, {packages}"
+        if figures["resumed_at"]:
+            yield "resumed at", ", ".join(moment(time) for time in figures["resumed_at"])
+    yield "folder", results.path.resolve().name

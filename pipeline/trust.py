@@ -1,0 +1,145 @@
+"""Whether a run can be trusted, in plain words: each check with its figure, its limit and what it means."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from phantomnode.pipeline.drawing import moment
+
+AREA = 0.01
+"""Difference between the areas as cut and by the drawing, over the latter, that is worth a look."""
+ADDED = 0.05
+"""Added mass over the whole that changes the answer: the limit of the run's own warning."""
+
+
+class Finding(NamedTuple):
+    """One answer: whether it is as it should be, what was looked at, and the answer with its numbers."""
+
+    passed: bool
+    subject: str
+    text: str
+
+
+def findings(figures: dict[str, Any]) -> list[Finding]:
+    """What the summary of a run says about it, the end of the run first.
+
+    Parameters
+    ----------
+    figures : dict
+        The content of summary.json.
+    """
+    found = [_end(figures)]
+    found += [_check(check) for check in figures.get("checks", ())]
+    if "stable_step_min" in figures:
+        found.append(_step(figures))
+    found += [*_mesh(figures), *_added_mass(figures)]
+    return found
+
+
+def trusted(found: list[Finding]) -> bool:
+    """Whether all is as it should be."""
+    return all(finding.passed for finding in found)
+
+
+def percent(value: float) -> str:
+    """A share for people to read: "0.43 %", "2e-13"."""
+    return f"{value:.3g}" if abs(value) < 1e-5 else f"{100.0 * value:.3g} %"
+
+
+def _end(figures: dict[str, Any]) -> Finding:
+    when = moment(figures["end_time"])
+    if figures["status"] == "done":
+        return Finding(True, "End", f"The run came to its end at {when}, after {figures['steps']} steps.")
+    text = f"The run was {figures['status']} at {when}: {figures['reason']}. {figures['advice']}"
+    return Finding(False, "End", text.strip())
+
+
+TOLD: dict[str, tuple[str, Callable[[float, float], str]]] = {
+    "energy error": (
+        "Energy balance",
+        lambda value, limit: (
+            f"Kinetic, internal, hourglass and contact energy less the work done from outside stay the same to "
+            f"{percent(value)} of the largest energy in the run (limit {percent(limit)})."
+        ),
+    ),
+    "momentum error": (
+        "Momentum balance",
+        lambda value, limit: (
+            f"The momentum of each body changes by the impulses on it, to {percent(value)} (limit {percent(limit)})."
+        ),
+    ),
+    "hourglass over internal energy": (
+        "Hourglass energy",
+        lambda value, limit: (
+            f"Elements with one integration point bend against an artificial stiffness; it took at most "
+            f"{percent(value)} of the largest internal energy (limit {percent(limit)})."
+        ),
+    ),
+    "smallest J": (
+        "Deformed elements",
+        lambda value, limit: (
+            f"The most compressed element kept {percent(value)} of its area (no less than {percent(limit)} is sound)."
+        ),
+    ),
+    "penetration over cell size": (
+        "Penetration",
+        lambda value, limit: (
+            f"Bodies in contact overlap by at most {percent(value)} of a cell (limit {percent(limit)}); the penalty "
+            "is stiff enough."
+        ),
+    ),
+}
+"""The checks of the summary: what they look at, and how to say it."""
+
+
+def _check(check: dict[str, Any]) -> Finding:
+    """One of the checks by which the run itself is judged."""
+    value, limit, passed = check["value"], check["limit"], bool(check["passed"])
+    if check["name"] not in TOLD or value is None:
+        text = f"{value if value is not None else 'not finite'} (limit {limit})."
+        subject = check["name"].capitalize()
+    else:
+        subject, told = TOLD[check["name"]]
+        text = told(value, limit)
+    return Finding(passed, subject, text if passed else f"{text} To do: {check['advice']}.")
+
+
+def _step(figures: dict[str, Any]) -> Finding:
+    """The time step against the stable one, at the start and in the deformed state."""
+    step, least = figures["dt"], figures["stable_step_min"]
+    text = (
+        f"Steps of {moment(step)}, set by: {figures['dt_set_by']}. In the deformed state the stable step never fell "
+        f"below {moment(least)}, {least / step:.3g} times the step taken."
+    )
+    if least >= step:
+        return Finding(True, "Time step", text)
+    return Finding(False, "Time step", f"{text} Some steps were not stable: take a smaller one, time.step.")
+
+
+def _mesh(figures: dict[str, Any]) -> Iterator[Finding]:
+    """What the grid makes of the drawing."""
+    off = {name: abs(area["cut"] / area["cad"] - 1.0) for name, area in figures["area"].items()}
+    worst = max(off, key=lambda name: off[name])
+    counts = figures["counts"]
+    text = (
+        f"The bodies as cut have the area of the drawing to {percent(off[worst])} ({worst}). "
+        f"{counts['cut']} of {counts['elements']} elements are cut; the smallest fragment is "
+        f"{percent(counts['smallest_fraction'])} of its cell; {counts['phantom_nodes']} of {counts['nodes']} nodes "
+        f"are phantom nodes, {counts['relocated_nodes']} were moved onto curves."
+    )
+    passed = off[worst] <= AREA
+    yield Finding(passed, "Mesh", text if passed else f"{text} To do: take smaller cells.")
+    for warning in figures["warnings"]:
+        yield Finding(False, "Warning", f"{warning}.")
+
+
+def _added_mass(figures: dict[str, Any]) -> Iterator[Finding]:
+    """Mass scaling, where there is any."""
+    shares = {
+        name: mass / figures["mass"][name] for name, mass in figures["added_mass"].items() if mass > 0.0
+    }
+    if shares:
+        worst = max(shares, key=lambda name: shares[name])
+        text = f"Mass was added for a larger step: at most {percent(shares[worst])} of a body ({worst})."
+        yield Finding(shares[worst] <= ADDED, "Mass scaling", text)

@@ -1,0 +1,335 @@
+"""Report pages: what they say, what they hold, and that they work in a real browser without a network."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import gzip
+import io
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from small_run import small_run
+
+from phantomnode import open_results
+from phantomnode.pipeline.cases_page import compared_cases
+from phantomnode.pipeline.cli import app
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.packing import packed, quantised
+from phantomnode.pipeline.report import write_report
+from phantomnode.pipeline.trust import findings, trusted
+from phantomnode.pipeline.view_data import BUDGET, chosen, view_data
+
+LIMIT = 8_000_000
+"""Bytes of a page, at most."""
+WIDE, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+
+
+@pytest.fixture(scope="module")
+def run_folder(tmp_path_factory):
+    return small_run(tmp_path_factory.mktemp("report") / "small")
+
+
+@pytest.fixture(scope="module")
+def run_report(run_folder):
+    (page,) = write_report([run_folder], run_folder)
+    return page
+
+
+@pytest.fixture(scope="module")
+def batch(run_folder, tmp_path_factory):
+    """A folder as a batch of four cases leaves it: one that failed, one that kept not all of its checks."""
+    folder = tmp_path_factory.mktemp("batch") / "study"
+    rows = []
+    for number, (speed, cell) in enumerate([(5, 0.003), (10, 0.003), (5, 0.002), (10, 0.002)]):
+        name = f"speed={speed}_cell={cell}"
+        shutil.copytree(
+            run_folder, folder / name, ignore=shutil.ignore_patterns("fields", "contact", "checkpoint")
+        )
+        row = {"case": name, "folder": name, "status": "done", "reason": "", "hash": str(number)}
+        row |= {
+            "speed": speed,
+            "cell": cell,
+            "peak_contact_force.landing": 100.0 * speed + number,
+            "steps": 90,
+        }
+        if number == 1:
+            summary = json.loads((folder / name / "summary.json").read_text())
+            summary["checks"][0]["passed"] = False
+            (folder / name / "summary.json").write_text(json.dumps(summary))
+        if number == 3:
+            (folder / name / "summary.json").unlink()
+            row |= {
+                "status": "failed",
+                "reason": "body <disc> lies outside",
+                "peak_contact_force.landing": "",
+                "steps": "",
+            }
+        rows.append(row)
+    with (folder / "results.csv").open("w", newline="") as file:
+        table = csv.DictWriter(file, list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+    return folder
+
+
+def data_of(page):
+    text = page.read_text(encoding="utf-8")
+    found = re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.S)
+    return json.loads(found[1])
+
+
+def unpacked(array):
+    """What the page's script does, in NumPy."""
+    planes = np.frombuffer(gzip.decompress(base64.b64decode(array["data"])), np.uint8)
+    dtype = np.dtype("<" + array["type"])
+    return planes.reshape(dtype.itemsize, -1).T.copy().view(dtype).reshape(array["shape"])
+
+
+class TestData:
+    def test_arrays_come_back_as_they_were(self):
+        for values in (np.arange(7, dtype=np.uint16), np.array([[1.5, np.nan], [-2e30, 0.0]], np.float32)):
+            np.testing.assert_array_equal(unpacked(packed(values)), values)
+
+    def test_quantised_values_are_right_to_half_a_step(self):
+        values = np.linspace(-3.0, 5.0, 999)
+        back = -3.0 + 8.0 * quantised(values, -3.0, 5.0) / 65535
+        np.testing.assert_allclose(back, values, atol=0.5 * 8.0 / 65535 * (1 + 1e-9))
+        assert np.all(quantised(np.full(3, 2.0), 2.0, 2.0) == 0)
+
+    def test_the_view_holds_the_frames_of_the_files(self, run_folder):
+        results = open_results(run_folder)
+        view = view_data(results)
+        assert view["times"] == results.times.tolist() and view["every"] == 1
+        low, high = np.array(view["box"])
+        frame, number = results.frame("peak"), view["start"]
+        points = low + (high - low) * unpacked(view["points"])[number] / 65535
+        np.testing.assert_allclose(points, frame.points, atol=np.max(high - low) / 65535)
+        stress = view["fields"][0]
+        least, most = stress["range"]
+        shown = least + (most - least) * unpacked(stress["values"])[number] / 65535
+        in_unit = frame.values("von_mises") * shown.max() / frame.values("von_mises").max()
+        np.testing.assert_allclose(shown, in_unit, atol=(most - least) / 65535)
+
+    def test_what_is_too_large_loses_fields_then_frames_then_the_view(self):
+        small = chosen(60, 20_000, 10_000, 5_000)
+        assert small.stride == 1 and len(small.fields) == 5
+        fewer = chosen(60, 400_000, 90_000, 60_000)
+        assert fewer.fields == ("von_mises",) or fewer.stride > 1
+        assert 60 // fewer.stride >= 15
+        huge = chosen(60, 2_000_000, 600_000, 400_000)
+        assert huge.fields == ("von_mises",) and huge.stride > 10
+        assert chosen(60, BUDGET, 10, 10) is None
+
+
+class TestTrust:
+    @pytest.fixture
+    def figures(self, run_folder):
+        return json.loads((run_folder / "summary.json").read_text())
+
+    def test_a_sound_run_is_trusted_with_its_numbers(self, figures):
+        found = findings(figures)
+        assert trusted(found)
+        subjects = [finding.subject for finding in found]
+        assert subjects[0] == "End"
+        assert {
+            "Energy balance",
+            "Momentum balance",
+            "Hourglass energy",
+            "Deformed elements",
+            "Penetration",
+        } <= {*subjects}
+        assert {"Time step", "Mesh"} <= {*subjects}
+        assert f"{figures['counts']['phantom_nodes']} of" in next(
+            f.text for f in found if f.subject == "Mesh"
+        )
+
+    @pytest.mark.parametrize(
+        ("change", "subject", "word"),
+        [
+            (
+                {"status": "stopped", "reason": "an element inverted", "advice": "Crush less"},
+                "End",
+                "an element inverted",
+            ),
+            ({"stable_step_min": 1e-12}, "Time step", "not stable"),
+            ({"warnings": ["body disc: coarse"]}, "Warning", "body disc: coarse"),
+            ({"added_mass": {"disc": 0.9}}, "Mass scaling", "at most"),
+        ],
+    )
+    def test_what_is_not_sound_is_said(self, figures, change, subject, word):
+        figures |= change
+        found = findings(figures)
+        assert not trusted(found)
+        assert any(f.subject == subject and word in f.text and not f.passed for f in found)
+
+    def test_a_check_that_is_not_kept_says_what_to_do(self, figures):
+        figures["checks"][0] |= {"passed": False, "value": 0.2}
+        (bad,) = [f for f in findings(figures) if not f.passed]
+        assert (
+            bad.subject == "Energy balance"
+            and "20 %" in bad.text
+            and "To do: take a smaller step" in bad.text
+        )
+
+
+class TestPages:
+    def test_a_run_page_is_one_small_file_that_names_no_other(self, run_report):
+        text = run_report.read_text(encoding="utf-8")
+        assert len(text.encode()) < LIMIT
+        head = re.sub(r"<script.*?</script>", "", text, flags=re.S)
+        assert not re.findall(r'(?:src|href)="(?!data:)', head)
+        assert "A &lt;small&gt; disc &amp; a floor" in head and "<small>" not in head
+        assert "Can be trusted" in head and "Where it comes from" in head
+
+    def test_it_says_what_was_run(self, run_report):
+        text = run_report.read_text(encoding="utf-8")
+        assert "rubber: E = 50 MPa" in text and "disc.outer on floor.top, no friction, penalty auto" in text
+        assert "displacement x = 0, y = 0 on floor.bottom" in text
+
+    def test_a_run_that_has_not_ended_has_a_page(self, run_folder, tmp_path):
+        folder = tmp_path / "underway"
+        shutil.copytree(run_folder, folder)
+        (folder / "summary.json").unlink()
+        (page,) = write_report([folder], folder)
+        text = page.read_text(encoding="utf-8")
+        assert "Look before you trust it" in text and "has not ended" in text
+
+    def test_a_batch_page_has_every_case_and_what_went_wrong(self, batch):
+        (page,) = write_report([batch], batch)
+        text = page.read_text(encoding="utf-8")
+        assert "3 of 4 cases are done" in text and "1 of them kept not all" in text
+        assert "failed: body &lt;disc&gt; lies outside" in text and "speed: 5, 10" in text
+        comparison = data_of(page)["comparison"]
+        assert [axis["name"] for axis in comparison["axes"]] == ["speed", "cell"]
+        force = comparison["outputs"][0]
+        assert force == {"name": "peak_contact_force.landing", "values": [500.0, 1001.0, 502.0, None]}
+        assert len(page.read_bytes()) < LIMIT
+
+    def test_cases_keep_their_values_and_doubts(self, batch):
+        cases = compared_cases(batch)
+        assert cases[2].inputs == {"speed": 5, "cell": 0.002}
+        assert [case.doubts for case in cases] == [(), ("energy error",), (), None]
+
+    def test_runs_beside_each_other(self, run_folder, tmp_path):
+        (page,) = write_report([run_folder, run_folder], tmp_path / "both")
+        assert page.name == "comparison.html"
+        assert "2 of 2 cases are done" in page.read_text(encoding="utf-8")
+
+    def test_a_batch_beside_a_run_is_refused(self, batch, run_folder, tmp_path):
+        with pytest.raises(CaseError, match="name it alone"):
+            write_report([batch, run_folder], tmp_path)
+
+    def test_the_command_says_where_the_page_is(self, run_folder, tmp_path, capsys):
+        assert app(["report", str(run_folder), "--out", str(tmp_path)], result_action="return_value") == 0
+        assert f"report    {tmp_path / 'report.html'}" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A real Chromium: the system's, or the one that playwright brought."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with playwright.sync_playwright() as started:
+        path = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+        if path is None:
+            try:
+                path = started.chromium.executable_path
+            except playwright.Error:
+                pytest.skip("there is no Chromium")
+        # A machine without a graphics card draws WebGL in software.
+        options = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        try:
+            chromium = started.chromium.launch(executable_path=path, args=options)
+        except playwright.Error as error:
+            pytest.skip(f"Chromium does not start: {error.message.splitlines()[0]}")
+        yield chromium
+        chromium.close()
+
+
+class Opened:
+    """A page in a browser without a network, and what it complained of or asked for."""
+
+    def __init__(self, browser, file, size):
+        self.page = browser.new_context(viewport=size, offline=True).new_page()
+        self.complaints, self.requests = [], []
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(file.as_uri())
+        self.page.wait_for_selector("html[data-ready=yes]", timeout=60_000)
+
+    def quiet(self):
+        """Whether it loaded nothing but itself, and said nothing."""
+        others = [url for url in self.requests if not url.startswith(("data:", "blob:"))]
+        return self.complaints == [] and len(others) == 1
+
+    def fits(self):
+        """Whether nothing is wider than the screen."""
+        return self.page.evaluate(
+            "document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+        )
+
+    def pixels(self, selector):
+        """(h, w, 3) What an element looks like."""
+        from PIL import Image
+
+        shot = self.page.locator(selector).first.screenshot()
+        return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+
+
+def coloured(pixels):
+    """Share of the pixels that are neither white nor grey."""
+    return np.mean(np.ptp(pixels, axis=-1) > 40)
+
+
+@pytest.mark.browser
+class TestInABrowser:
+    @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+    def test_a_run_page_loads_alone_and_draws(self, browser, run_report, size):
+        opened = Opened(browser, run_report, size)
+        assert opened.quiet(), (opened.complaints, opened.requests)
+        assert opened.fits()
+        assert coloured(opened.pixels("#canvas")) > 0.03
+        charts = opened.page.locator("#histories .uplot").count()
+        assert charts >= 6
+        assert (
+            coloured(opened.pixels("#histories .u-over")) > 0.0
+            or coloured(opened.pixels("#histories canvas")) > 0.001
+        )
+
+    def test_the_view_follows_time_field_and_pointer(self, browser, run_report):
+        opened = Opened(browser, run_report, WIDE)
+        page, before = opened.page, opened.pixels("#canvas")
+        page.evaluate("document.getElementById('time').value = 0; document.getElementById('time').oninput()")
+        early = opened.pixels("#canvas")
+        assert np.mean(np.any(before != early, axis=-1)) > 0.01
+        assert page.locator("#clock").text_content() == "t = 0 ms"
+        page.select_option("#field", label="velocity, magnitude, m/s")
+        assert np.mean(np.any(opened.pixels("#canvas") != early, axis=-1)) > 0.01
+        box = page.locator("#canvas").bounding_box()
+        page.evaluate("window.phantomnodeView.fit()")
+        x, y = page.evaluate(
+            "(() => { const v = window.phantomnodeView, c = v.renderer.getActiveCamera(), q = v.quads, p = v.flat;"
+            "const m = [0, 1].map((a) => [0, 1, 2, 3].reduce((s, j) => s + p[2 * q[j] + a] / 4, 0));"
+            "const k = v.place.getBoundingClientRect().height / 2 / c.getParallelScale(), f = c.getFocalPoint();"
+            "return [(m[0] - f[0]) * k, -(m[1] - f[1]) * k]; })()"
+        )
+        page.mouse.move(box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 + y)
+        assert "velocity, magnitude, m/s: 5 at" in page.locator("#under").text_content()
+        page.mouse.wheel(0, -300)
+        page.wait_for_timeout(300)
+        assert opened.complaints == []
+
+    def test_a_batch_page_draws_every_output(self, browser, batch):
+        (page,) = write_report([batch], batch)
+        opened = Opened(browser, page, PHONE)
+        assert opened.quiet() and opened.fits()
+        opened.page.select_option("#axis", label="cell")
+        opened.page.select_option("#output", label="steps")
+        opened.page.check("#log-x")
+        assert opened.page.locator("#comparison .u-title").text_content() == "steps"
+        assert coloured(opened.pixels("#comparison canvas")) > 0.0002
+        assert opened.complaints == []
