@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import secrets
 import shutil
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,23 +14,28 @@ from typing import TYPE_CHECKING, NamedTuple
 from phantomnode.pipeline.batch_plots import draw_plots
 from phantomnode.pipeline.batch_progress import progress_of
 from phantomnode.pipeline.case import resolved_toml
-from phantomnode.pipeline.engine import Crew, client_of, crew, outcomes, signals_interrupt
+from phantomnode.pipeline.durations import every_option
+from phantomnode.pipeline.engine import GRACE, Crew, client_of, crew, outcomes
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.ledger import WAITING, Ledger
+from phantomnode.pipeline.ledger import Ledger
 from phantomnode.pipeline.one_case import (
     DONE,
     FAILED,
     INTERRUPTED,
+    NOT_BEGUN,
     OUTCOME,
     RUNNING,
     STOPPED,
+    UNFINISHED,
     Order,
     held,
     is_of,
-    outcome_in,
+    known,
     read_record,
+    tidy,
 )
 from phantomnode.pipeline.one_case import LOCK as CASE_LOCK
+from phantomnode.pipeline.stopping import FINISHING, Stopping, wall_limit_from
 from phantomnode.pipeline.sweep import Study, load_study
 
 if TYPE_CHECKING:
@@ -60,13 +66,16 @@ def run_batch(
     scheduler: str | None = None,
     resume: bool = False,
     only_failed: bool = False,
+    checkpoint_every: str | None = None,
+    wall_limit: str | None = None,
     console: Console | None = None,
     command: Sequence[str] = (),
 ) -> Batch:
     """Run the cases of a sweep on several processes.
 
-    Every case is read and validated before the first one runs. Ctrl-C and SIGTERM leave a batch that can be
-    resumed. A script that calls this needs ``if __name__ == "__main__":`` about it, because workers import it.
+    Every case is read and validated before the first one runs. On Ctrl-C, SIGTERM and near the wall limit, the cases
+    that run write a checkpoint, and the batch can be resumed. A script that calls this needs
+    ``if __name__ == "__main__":`` about it, because workers import it.
 
     Parameters
     ----------
@@ -84,6 +93,10 @@ def run_batch(
         Go on with a batch: cases that have ended, by the hash of the case and the version, are left as they are.
     only_failed : bool
         Go on with a batch, and run only the cases that failed or were stopped.
+    checkpoint_every : str, optional
+        How often a case writes a checkpoint, as "0.5 ms", "1000 steps" or "10 min"; as the case says unless given.
+    wall_limit : str, optional
+        When to end, as "23:50:00" or "2 h" from now.
     console : rich Console, optional
         Where to show the progress and the table of all cases.
     command : sequence of str
@@ -96,6 +109,9 @@ def run_batch(
     OSError
         Where results cannot be written.
     """
+    limit = wall_limit_from(wall_limit, time.perf_counter())
+    if checkpoint_every is not None:
+        every_option(checkpoint_every)
     study = load_study(source)
     folder = folder_of(study, out)
     if (folder / "results.csv").exists() and not (resume or only_failed):
@@ -105,17 +121,27 @@ def run_batch(
     hands = crew(workers, threads, scheduler)
     with _alone_in(folder):
         ledger = ledger_of(study, folder)
-        again = (STOPPED, FAILED) if only_failed else (WAITING.status,)
+        again = (STOPPED, FAILED) if only_failed else UNFINISHED
         places = [place for place, outcome in enumerate(ledger.outcomes) if outcome.status in again]
+        orders = _orders(ledger, places, folder, hands.threads, command, checkpoint_every)
         ledger.write(folder)
+        reason = ""
         try:
-            interrupted = bool(places) and _run(ledger, places, folder, hands, console, command)
+            if orders:
+                stopping = Stopping(limit, kept=GRACE + FINISHING)
+                reason = _run(
+                    ledger, dict(zip(places, orders, strict=True)), folder, hands, stopping, console
+                )
         finally:
+            ledger.look_again(folder)
             ledger.write(folder)
         pictures = draw_plots(ledger, folder)
     if console is not None:
         _tell(ledger, folder, pictures, console)
-    return Batch(_status(ledger, interrupted), folder, ledger)
+        if reason:
+            told = f"{reason}; go on with: the same command and --resume"
+            console.print(told, highlight=False, soft_wrap=True)
+    return Batch(_status(ledger, bool(reason)), folder, ledger)
 
 
 def show_plan(source: str | Path, out: Path | str | None, console: Console) -> None:
@@ -145,54 +171,78 @@ def ledger_of(study: Study, folder: Path) -> Ledger:
         if "hash" in record and is_of(record, record["hash"]):
             found[record["hash"]] = file.parent
     taken = {found[point.hash].name.lower() for point in study.points if point.hash in found}
-    folders, known = [], []
+    folders, outcomes = [], []
     for point in study.points:
         if point.hash in found:
             folders.append(found[point.hash].name)
-            outcome = outcome_in(found[point.hash])
-            known.append(WAITING if outcome.status in (RUNNING, INTERRUPTED) else outcome)
+            outcomes.append(known(found[point.hash], point.hash))
         else:
             folders.append(f"{point.name}~{point.hash[:6]}" if point.name.lower() in taken else point.name)
-            known.append(WAITING)
-    return Ledger(study, folders, known)
+            outcomes.append(NOT_BEGUN)
+    return Ledger(study, folders, outcomes)
 
 
-def _run(
+def _orders(
     ledger: Ledger,
     places: Sequence[int],
     folder: Path,
-    hands: Crew,
-    console: Console | None,
+    threads: int,
     command: Sequence[str],
-) -> bool:
-    """Run some of the cases; whether the user or the system put an end to it."""
+    checkpoint_every: str | None,
+) -> list[Order]:
+    """What workers get for some of the cases."""
     batch, points = secrets.token_hex(8), ledger.study.points
     orders = []
     for place in places:
         text, target = resolved_toml(points[place].case), str(folder / ledger.folders[place])
-        orders.append(Order(text, target, points[place].hash, batch, hands.threads, tuple(command)))
+        orders.append(
+            Order(text, target, points[place].hash, batch, threads, tuple(command), checkpoint_every)
+        )
+    return orders
+
+
+def _run(
+    ledger: Ledger,
+    orders: Mapping[int, Order],
+    folder: Path,
+    hands: Crew,
+    stopping: Stopping,
+    console: Console | None,
+) -> str:
+    """Run the cases at some places of the ledger; why it ended before they did, nothing where it did not."""
+    places, points = list(orders), ledger.study.points
     hands = hands._replace(workers=min(hands.workers, len(places)))
     if console is not None:
-        who = (
-            f"workers of {hands.scheduler}" if hands.scheduler else f"{hands.workers} workers on this machine"
-        )
-        console.print(
-            f"{len(places)} of {len(points)} cases to run, on {who}", highlight=False, soft_wrap=True
-        )
+        _tell_who(len(places), len(points), hands, console)
+    stopping.moved()
     try:
         with (
-            signals_interrupt(),
+            stopping,
             TemporaryDirectory(prefix=SCRATCH, dir=folder) as scratch,
             client_of(hands, Path(scratch)) as client,
             progress_of(len(places), console) as progress,
         ):
-            for place, outcome in outcomes(client, orders):
-                ledger.enter(places[place], outcome)
+            for news in outcomes(client, list(orders.values()), stopping):
+                if news is not None:
+                    place, outcome = places[news[0]], news[1]
+                    ledger.enter(place, outcome)
+                    if outcome.status != RUNNING:
+                        progress.ended(points[place].name, outcome)
                 ledger.write(folder, now=False)
-                progress.ended(points[places[place]].name, outcome)
-    except KeyboardInterrupt:
-        return True
-    return False
+    except KeyboardInterrupt:  # a second signal
+        pass
+    if all(ledger.outcomes[place].status not in UNFINISHED for place in places):
+        return ""
+    for order in orders.values():
+        tidy(Path(order.folder))
+    return stopping.reason()
+
+
+def _tell_who(count: int, total: int, hands: Crew, console: Console) -> None:
+    """Print how many cases run, and who runs them."""
+    own = f"{hands.workers} workers on this machine"
+    who = f"workers of {hands.scheduler}" if hands.scheduler else own
+    console.print(f"{count} of {total} cases to run, on {who}", highlight=False, soft_wrap=True)
 
 
 @contextmanager

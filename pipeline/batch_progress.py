@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
-from phantomnode.pipeline.one_case import DONE, Outcome
+from phantomnode.pipeline.one_case import DONE, UNFINISHED, Outcome
+from phantomnode.pipeline.outputs import wall_time
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,7 +64,7 @@ class Bar:
     def ended(self, name: str, outcome: Outcome) -> None:
         """Move the bar."""
         if outcome.status != DONE:
-            self._failed += 1
+            self._failed += outcome.status not in UNFINISHED
             self._bar.console.print(describe(name, outcome), markup=False, highlight=False, soft_wrap=True)
         failed = f"[red]{self._failed} failed[/]" if self._failed else ""
         self._bar.update(self._task, advance=1, failed=failed)
@@ -71,7 +72,7 @@ class Bar:
 
 def describe(name: str, outcome: Outcome) -> str:
     """How a case ended, in a line."""
-    wall = outcome.figures.get("wall_s")
+    wall = wall_time(outcome.figures)
     took = f" in {wall:.3g} s" if wall is not None else ""
     return f"{name}: {outcome.status}{took}" + (f": {outcome.reason}" if outcome.reason else "")
 

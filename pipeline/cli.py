@@ -150,6 +150,16 @@ def batch(
         int | None, Parameter(help="Processes on this machine; as many as its cores allow unless given.")
     ] = None,
     threads: Annotated[int, Parameter(help="Threads of each worker, 1 unless given.")] = 1,
+    checkpoint_every: Annotated[
+        str | None, Parameter(help="How often each case writes a checkpoint, as for run.")
+    ] = None,
+    wall_limit: Annotated[
+        str | None,
+        Parameter(
+            help='The time that a queue allows, as "23:50:00" or "2 h": before it, the cases that run write a '
+            "checkpoint, and the batch ends with the exit code 130."
+        ),
+    ] = None,
     scheduler: Annotated[
         str | None,
         Parameter(help="Address of a running dask scheduler, as tcp://host:8786; its workers are used."),
@@ -185,7 +195,8 @@ def batch(
         line = ("phantomnode", *sys.argv[1:])
         ended = run_batch(
             sweep, out, workers=workers, threads=threads, scheduler=scheduler, resume=resume,
-            only_failed=only_failed, console=console, command=line,
+            only_failed=only_failed, checkpoint_every=checkpoint_every, wall_limit=wall_limit,
+            console=console, command=line,
         )  # fmt: skip
         return {"done": DONE, "failed": SOME_FAILED, "interrupted": INTERRUPTED}[ended.status]
 

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Literal, NamedTuple, TypeVar
+
+from phantomnode.pipeline.errors import CaseError
+
+Value = TypeVar("Value")
 
 SIMULATED = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 WALL = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -59,6 +64,36 @@ def parse_limit(text: str) -> float:
     if not 0.0 < seconds < math.inf:
         raise ValueError(f'"{text}" is no wall time; write {LIMIT}')
     return seconds
+
+
+def every_option(text: str) -> Every:
+    """The value of --checkpoint-every.
+
+    Raises
+    ------
+    CaseError
+        Where it is no interval.
+    """
+    return _option("--checkpoint-every", parse_every, text)
+
+
+def limit_option(text: str) -> float:
+    """The value of --wall-limit, s.
+
+    Raises
+    ------
+    CaseError
+        Where it is no time.
+    """
+    return _option("--wall-limit", parse_limit, text)
+
+
+def _option(name: str, parse: Callable[[str], Value], text: str) -> Value:
+    """The value of an option; what is wrong with it is told with its name."""
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise CaseError(f"{name}: {error}") from error
 
 
 class Schedule:

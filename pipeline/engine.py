@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import logging
+import math
+import multiprocessing
 import os
 import queue
 import signal
 import sys
-import threading
+import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.one_case import FAILED, RETRIES, Order, Outcome, run_order, warm_up
+from phantomnode.pipeline.one_case import FAILED, RETRIES, RUNNING, Order, Outcome, run_order, warm_up
+from phantomnode.pipeline.stopping import KINDS, Stopping
+from phantomnode.pipeline.underway import end_batch
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -27,6 +33,8 @@ CONNECT = 10.0
 """How long to look for a scheduler, s."""
 PULSE = 0.5
 """Between two looks for a signal while no case ends, s."""
+GRACE = 20.0
+"""How long cases that are asked to end have for their checkpoints, s; queues that end a job wait for about 30 s."""
 
 
 class Crew(NamedTuple):
@@ -92,29 +100,32 @@ def client_of(crew: Crew, scratch: Path) -> Iterator[Client]:
                 ) from error
             yield client
         return
-    with _settings(crew, scratch), _shielded():
-        cluster = LocalCluster(
-            n_workers=crew.workers,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # dask listens there in any case; any free port
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-            local_directory=str(scratch),
-        )
-    with cluster, Client(cluster) as client:
-        yield client
+    with _settings(crew, scratch), _no_child_left():
+        with _shielded():
+            cluster = LocalCluster(
+                n_workers=crew.workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # dask listens there in any case; any free port
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+                local_directory=str(scratch),
+            )
+        with cluster, Client(cluster) as client:
+            yield client
 
 
 @contextmanager
 def _settings(crew: Crew, scratch: Path) -> Iterator[None]:
     """What workers are started with: threads of kernels, a folder for temporary files, patience of the scheduler.
 
-    Dask leaves the variables in this process's environment, where they are put back in the end.
+    Dask puts the variables into this process's environment whenever a worker starts, also in the place of one that
+    died, and leaves them there; so they are put back when there are no workers any more.
     """
     import dask
 
+    tempfile.gettempdir()  # this process keeps its own
     variables = {"NUMBA_NUM_THREADS": str(crew.threads), "TMPDIR": str(scratch)}
     before = dict(os.environ)
     os.environ.update(variables)  # which go before dask's own settings
@@ -122,65 +133,82 @@ def _settings(crew: Crew, scratch: Path) -> Iterator[None]:
         f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in variables.items()
     }
     settings["distributed.scheduler.allowed-failures"] = BLAME
+    settings["temporary-directory"] = str(scratch)
     with dask.config.set(settings):
         try:
             yield
         finally:
             os.environ.clear()
             os.environ.update(before)
-            if "numba" in sys.modules:  # it reads its variables again whenever it compiles
+            if "numba" in sys.modules:  # it read its variables again if it compiled meanwhile
                 sys.modules["numba"].config.reload_config()
 
 
 @contextmanager
+def _no_child_left() -> Iterator[None]:
+    """End the processes that dask could not close: they do not hear the SIGTERM that Python sends at its exit."""
+    before = {process.pid for process in multiprocessing.active_children()}
+    try:
+        yield
+    finally:
+        for process in multiprocessing.active_children():
+            if process.pid not in before:
+                process.kill()
+
+
+@contextmanager
 def _shielded() -> Iterator[None]:
-    """Processes and threads that are started here do not hear Ctrl-C: this process ends them in good order."""
+    """Processes and threads that are started here do not hear signals that end all processes of a terminal or job.
+
+    This process hears them, and ends the others in good order.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
     resource_tracker.ensure_running()  # a thread that starts it hears signals again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {getattr(signal, kind) for kind in KINDS})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-@contextmanager
-def signals_interrupt() -> Iterator[None]:
-    """SIGTERM, and a terminal that closes, interrupt like Ctrl-C; signals reach the main thread only."""
-
-    def interrupt(number: int, frame: Any) -> None:
-        raise KeyboardInterrupt
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    kinds = [signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
-    before = {kind: signal.signal(kind, interrupt) for kind in kinds}
-    try:
-        yield
-    finally:
-        for kind, handler in before.items():
-            signal.signal(kind, handler)
-
-
 def outcomes(
-    client: Client, orders: Sequence[Order], run: Callable[[Order], Outcome] = run_order
-) -> Iterator[tuple[int, Outcome]]:
-    """Run cases and tell how each ended, as they end.
+    client: Client,
+    orders: Sequence[Order],
+    stopping: Stopping,
+    run: Callable[[Order], Outcome] = run_order,
+) -> Iterator[tuple[int, Outcome] | None]:
+    """Run cases and tell how each ended, as they end; before, that it runs.
+
+    When the batch is asked to end, cases that run get some seconds to write a checkpoint, and no other one begins.
 
     Parameters
     ----------
     client : Client
     orders : sequence of Order
+    stopping : Stopping
+        What asks the batch to end.
     run : callable
         What a worker does with an order.
 
     Yields
     ------
     int, Outcome
-        The place of the case in ``orders``, and how it ended.
+        The place of the case in ``orders``, and how it ended, or that it runs; None where nothing was heard for a
+        while.
+
+    Raises
+    ------
+    CaseError
+        If the workers cannot run anything.
+    """
+    if _warmed_up(client, orders[0].batch, stopping):
+        yield from _Round(client, orders, stopping, run).outcomes()
+
+
+def _warmed_up(client: Client, batch: str, stopping: Stopping) -> bool:
+    """Whether a worker has compiled the kernels before the batch was asked to end.
 
     Raises
     ------
@@ -189,33 +217,93 @@ def outcomes(
     """
     from distributed.scheduler import KilledWorker
 
-    try:
-        client.submit(warm_up, pure=False, key=f"warm-up-{orders[0].batch}").result()
-    except (KilledWorker, ImportError) as error:
-        raise CaseError(f"the workers cannot run a small trial case: {error}") from error
-    ended: queue.SimpleQueue[tuple[int, Future[Any]]] = queue.SimpleQueue()
-    underway = dict[int, "Future[Any]"]()
-    rounds = dict[int, int]()
-
-    def submit(places: Sequence[int]) -> None:
-        keys = [f"case-{orders[p].batch}-{p}-{rounds.get(p, 0)}" for p in places]
-        found = client.map(run, [orders[p] for p in places], key=keys, pure=False)
-        for place, future in zip(places, found, strict=True):
-            underway[place] = future
-            future.add_done_callback(lambda done, place=place: ended.put((place, done)))
-
-    submit(range(len(orders)))
-    while underway:
+    trial = client.submit(warm_up, pure=False, key=f"warm-up-{batch}")
+    while not stopping.asked():
         try:
-            place, future = ended.get(timeout=PULSE)
-        except queue.Empty:
+            trial.result(timeout=PULSE)
+            return True
+        except TimeoutError:
             continue
-        del underway[place]
+        except (KilledWorker, ImportError) as error:
+            raise CaseError(f"the workers cannot run a small trial case: {error}") from error
+    return False
+
+
+class _Round:
+    """The cases of a batch that are underway."""
+
+    def __init__(
+        self,
+        client: Client,
+        orders: Sequence[Order],
+        stopping: Stopping,
+        run: Callable[[Order], Outcome],
+    ) -> None:
+        self._client, self._orders, self._stopping, self._run = client, orders, stopping, run
+        self._events: queue.SimpleQueue[tuple[int, Future[Any] | None]] = queue.SimpleQueue()
+        self._underway = dict[int, "Future[Any]"]()
+        self._rounds = dict[int, int]()
+
+    def outcomes(self) -> Iterator[tuple[int, Outcome] | None]:
+        """Submit all and collect what becomes of them."""
+        topic, deadline = _topic(self._orders[0].batch), math.inf
+        self._client.subscribe_topic(topic, lambda event: self._events.put((event[1], None)))
+        self._submit(range(len(self._orders)))
+        while self._underway and time.monotonic() < deadline:
+            if self._stopping.asked():
+                deadline = min(deadline, time.monotonic() + GRACE)
+                self._end()
+            try:
+                place, future = self._events.get(timeout=PULSE)
+            except queue.Empty:
+                yield None
+                continue
+            if place in self._underway:
+                yield from self._heard(place, future)
+        self._client.unsubscribe_topic(topic)
+
+    def _submit(self, places: Sequence[int]) -> None:
+        keys = [f"case-{self._orders[p].batch}-{p}-{self._rounds.get(p, 0)}" for p in places]
+        orders = [self._orders[place] for place in places]
+        found = self._client.map(partial(_told, self._run), orders, places, key=keys, pure=False)
+        for place, future in zip(places, found, strict=True):
+            self._underway[place] = future
+            future.add_done_callback(lambda done, place=place: self._events.put((place, done)))
+
+    def _heard(self, place: int, future: Future[Any] | None) -> Iterator[tuple[int, Outcome]]:
+        """A case has begun (no future) or ended."""
+        from distributed.scheduler import KilledWorker
+
+        if future is None:
+            yield place, Outcome(RUNNING, "", {})
+            return
+        del self._underway[place]
         fault = future.exception()
-        if isinstance(fault, KilledWorker) and rounds.get(place, 0) < RETRIES:
-            rounds[place] = rounds.get(place, 0) + 1
-            submit([place])
+        if isinstance(fault, KilledWorker) and self._rounds.get(place, 0) < RETRIES:
+            self._rounds[place] = self._rounds.get(place, 0) + 1
+            self._submit([place])
         elif fault is not None:
             yield place, Outcome(FAILED, f"{type(fault).__name__}: {fault}", {})
         else:
             yield place, future.result()
+
+    def _end(self) -> None:
+        """Ask the cases that run to end, and take the others back."""
+        answers = self._client.run(end_batch, self._orders[0].batch, on_error="ignore")
+        running = {folder for folders in answers.values() for folder in folders}
+        for place, future in [*self._underway.items()]:
+            if self._orders[place].folder not in running and not future.done():
+                del self._underway[place]
+                future.cancel()
+
+
+def _told(run: Callable[[Order], Outcome], order: Order, place: int) -> Outcome:
+    """Run a case in a worker, and tell the driver that it has begun."""
+    from distributed import get_worker
+
+    get_worker().log_event(_topic(order.batch), place)
+    return run(order)
+
+
+def _topic(batch: str) -> str:
+    return f"phantomnode-{batch}"

@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from phantomnode.pipeline.files import write_atomically
-from phantomnode.pipeline.one_case import DONE, Outcome
-from phantomnode.pipeline.outputs import CASE_COLUMNS, output_of
+from phantomnode.pipeline.one_case import DONE, INTERRUPTED, RUNNING, UNFINISHED, WAITING, Outcome, known
+from phantomnode.pipeline.outputs import CASE_COLUMNS, output_of, wall_time
 from phantomnode.pipeline.sweep import Study
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-WAITING = Outcome("waiting", "", {})
-"""Of a case that has not ended, whether it has begun or not."""
+STYLES = {DONE: "green", WAITING: "dim", RUNNING: "cyan", INTERRUPTED: "yellow"}
 EVERY = 1.0
 """Least time between two writes of results.csv, s."""
 MOST_ROWS = 200
@@ -36,30 +35,40 @@ class Ledger:
     folders : sequence of str
         The folder of each case, within that of the batch.
     outcomes : sequence of Outcome
-        What is known before anything runs; WAITING where nothing is.
+        What is known before anything runs.
     """
 
     def __init__(self, study: Study, folders: Sequence[str], outcomes: Sequence[Outcome]) -> None:
         self.study, self.folders, self.outcomes = study, tuple(folders), list(outcomes)
         self._lines = [self._line(place) for place in range(len(self.outcomes))]
-        self._written = float("-inf")
+        self._written, self._changed = float("-inf"), True
 
     def enter(self, place: int, outcome: Outcome) -> None:
-        """Note how a case ended."""
+        """Note how a case ended, or that it runs."""
         self.outcomes[place] = outcome
         self._lines[place] = self._line(place)
+        self._changed = True
+
+    def unfinished(self) -> list[int]:
+        """Places of the cases that have not ended."""
+        return [place for place, outcome in enumerate(self.outcomes) if outcome.status in UNFINISHED]
+
+    def look_again(self, folder: Path) -> None:
+        """Read from their folders what has become of the cases that have not ended."""
+        for place in self.unfinished():
+            self.enter(place, known(folder / self.folders[place], self.study.points[place].hash))
 
     def count(self) -> Counter[str]:
         """How many cases there are of each status."""
         return Counter(outcome.status for outcome in self.outcomes)
 
     def write(self, folder: Path, *, now: bool = True) -> None:
-        """Write results.csv in one step; without ``now``, at most once a second."""
-        if not now and time.monotonic() < self._written + EVERY:
+        """Write results.csv in one step; without ``now``, where it changed and at most once a second."""
+        if not now and (not self._changed or time.monotonic() < self._written + EVERY):
             return
         header = _csv([*CASE_COLUMNS, *self.study.sweep.axis, *self.study.outputs])
         write_atomically(folder / "results.csv", header + "".join(self._lines), durable=now)
-        self._written = time.monotonic()
+        self._written, self._changed = time.monotonic(), False
 
     def table(self) -> Table:
         """The table of all cases: values, status, time, what came out."""
@@ -74,8 +83,9 @@ class Ledger:
         for point, outcome in zip(self.study.points, self.outcomes, strict=True):
             if many and outcome.status == DONE:
                 continue
-            style = {DONE: "green", WAITING.status: "dim"}.get(outcome.status, "red")
-            shown = [_short(output_of(outcome.figures, name)) for name in ("wall_s", *self.study.shown)]
+            style = STYLES.get(outcome.status, "red")
+            outputs = (output_of(outcome.figures, name) for name in self.study.shown)
+            shown = [_short(value) for value in (wall_time(outcome.figures), *outputs)]
             values = (_short(point.values[name]) for name in self.study.sweep.axis)
             table.add_row(*values, f"[{style}]{outcome.status}[/]", *shown)
         return table

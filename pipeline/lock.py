@@ -6,6 +6,8 @@ import errno
 import json
 import os
 import platform
+import re
+import shlex
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,14 +22,20 @@ except ImportError:  # Windows: the file alone is the lock
 LOCK = ".lock"
 UNSUPPORTED = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 """What a file system says that knows no locks."""
+ONE_MACHINE = frozenset(
+    {"bcachefs", "btrfs", "ext2", "ext3", "ext4", "f2fs", "jfs", "overlay", "ramfs", "tmpfs", "xfs", "zfs"}
+)
+"""File systems of one kernel: who else sees them, as a container of another name does, sees their locks."""
+NETWORK = frozenset({"nfs", "nfs4"})
+"""File systems whose server keeps the locks of all machines, unless mounted otherwise."""
 
 
 class FolderLock:
     """Holds a results folder while a run writes to it.
 
     The lock is that of the system (``flock``) on a file that names its owner: it ends with the process, however
-    that ends, so that a file left by one that was killed on this machine stands in nobody's way. Of a process on
-    another machine, or where the file system knows no locks, only the file can tell.
+    that ends, so that a file left by one that was killed stands in nobody's way. Only where the file system is not
+    known to show the locks of other machines, or knows none, a file of another machine is believed.
 
     Parameters
     ----------
@@ -66,8 +74,8 @@ class FolderLock:
                 os.close(handle)
                 return -1
             owner = _owner(os.read(handle, 4096))
-            if owner and owner.get("machine") != platform.node():
-                raise _held(self._path, owner)
+            if _unseen(owner, self._path):
+                raise _left(self._path, owner)
             self.taken_over = bool(owner)
             os.ftruncate(handle, 0)
             os.lseek(handle, 0, os.SEEK_SET)
@@ -86,7 +94,7 @@ def is_locked(folder: Path) -> bool:
         return False
     try:
         owner = _owner(os.read(handle, 4096))
-        return not _lock(handle, folder / LOCK) or (bool(owner) and owner.get("machine") != platform.node())
+        return not _lock(handle, folder / LOCK) or _unseen(owner, folder / LOCK)
     except CaseError:
         return True
     finally:
@@ -94,12 +102,12 @@ def is_locked(folder: Path) -> bool:
 
 
 def _lock(handle: int, path: Path) -> bool:
-    """Lock a file.
+    """Lock a file; where the file system knows no locks, look whether its owner lives.
 
     Raises
     ------
     CaseError
-        Where another process has it.
+        Where another process has it, or may have it.
     """
     if fcntl is not None:
         try:
@@ -110,9 +118,53 @@ def _lock(handle: int, path: Path) -> bool:
         except OSError as error:
             if error.errno not in UNSUPPORTED:
                 raise
-    if owner := _owner(path.read_bytes()):
+    owner = _owner(path.read_bytes())
+    if owner.get("machine") == platform.node() and _lives(owner):
         raise _held(path, owner)
+    if owner and owner.get("machine") != platform.node():
+        raise _left(path, owner)
     return True
+
+
+def _lives(owner: dict[str, Any]) -> bool:
+    """Whether there is a process of that number on this machine."""
+    try:
+        os.kill(int(owner.get("process", 0)), 0)
+    except (ProcessLookupError, ValueError):
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _unseen(owner: dict[str, Any], path: Path) -> bool:
+    """Whether a lock may be held by a process on another machine, although this one was given it."""
+    return bool(owner) and owner.get("machine") != platform.node() and not _all_see(*file_system(path))
+
+
+def _all_see(kind: str, options: set[str]) -> bool:
+    """Whether all machines that see a file system see its locks."""
+    own = {"nolock", "local_lock=flock", "local_lock=all"}
+    return kind in ONE_MACHINE or (kind in NETWORK and not options & own)
+
+
+def file_system(path: Path) -> tuple[str, set[str]]:
+    """The kind of file system that a file is on, as "nfs4", and how it is mounted; nothing outside Linux."""
+    try:
+        lines = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return "", set()
+    found, longest, place = ("", set[str]()), -1, path.resolve()
+    for (
+        line
+    ) in lines:  # 36 35 98:0 / /home rw,noatime shared:1 - nfs4 server:/home rw,vers=4.2,local_lock=none
+        mount, source = (part.split() for part in line.split(" - ", 1))
+        at = Path(re.sub(r"\\([0-7]{3})", lambda code: chr(int(code[1], 8)), mount[4]))
+        if (
+            place.is_relative_to(at) and len(at.parts) >= longest
+        ):  # of two at one place, the later one is on top
+            found, longest = (source[0], {*mount[5].split(","), *source[-1].split(",")}), len(at.parts)
+    return found
 
 
 def _is(handle: int, path: Path) -> bool:
@@ -135,6 +187,16 @@ def _owner(content: bytes) -> dict[str, Any]:
 def _held(path: Path, owner: dict[str, Any]) -> CaseError:
     who = f"process {owner.get('process', '?')} on {owner.get('machine', '?')}"
     return CaseError(
-        f"{path.parent}: another run is at work in this folder ({who}); wait for it, or take another --out. If "
-        f"that process is gone for certain, remove {path}"
+        f"{path.parent}: another run is at work in this folder ({who}); wait for it, or take another --out"
+    )
+
+
+def _left(path: Path, owner: dict[str, Any]) -> CaseError:
+    """The lock of another machine, of which it cannot be told whether it holds."""
+    process, machine, kind = owner.get("process", "?"), owner.get("machine", "?"), file_system(path)[0]
+    on = f"a file system of kind {kind}" if kind else "this file system"
+    return CaseError(
+        f"{path.parent}: process {process} on {machine} runs in this folder, or was killed in it; on {on} that "
+        f"cannot be seen from here. Look on {machine}: ps -p {process}. If the process is there, wait for it, "
+        f"or take another --out; if it is not, rm {shlex.quote(str(path))} and start again"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from phantomnode.pipeline.case import variants
 from phantomnode.pipeline.schema import Case
 
 SCALARS = (
@@ -22,7 +23,17 @@ FIXED = frozenset({*CASE_COLUMNS, *SCALARS})
 
 
 def known_outputs(case: Case) -> Iterator[str]:
-    """Names of the outputs that a case has when it has run, in the order of results.csv."""
+    """Names of the outputs that a case has when it has run with its variants, in the order of results.csv.
+
+    Those of a variant begin with ``variant.NAME.``.
+    """
+    yield from _own_outputs(case)
+    for name, variant in variants(case).items():
+        yield from (f"variant.{name}.{output}" for output in _own_outputs(variant))
+
+
+def _own_outputs(case: Case) -> Iterator[str]:
+    """The outputs of a case without its variants."""
     for pair in case.contact:
         yield f"peak_contact_force.{pair}"
         yield f"largest_penetration.{pair}"
@@ -37,13 +48,20 @@ def known_outputs(case: Case) -> Iterator[str]:
     yield from (f"counts.{count}" for count in COUNTS)
 
 
+def wall_time(figures: Mapping[str, Any]) -> float | None:
+    """Wall time of a case with its variants, s; None where it has not ended."""
+    runs = [figures, *figures.get("variant", {}).values()]
+    times = [run["wall_s"] for run in runs if "wall_s" in run]
+    return sum(times) if times else None
+
+
 def output_of(figures: Mapping[str, Any], name: str) -> float | int | None:
     """An output of a run.
 
     Parameters
     ----------
     figures : mapping
-        The content of summary.json.
+        The content of summary.json; under ``variant``, by name, those of the variants.
     name : str
         One of :func:`known_outputs` (names in a case hold no dots). The parts of a vector are x and y; of a list
         the length is taken.

@@ -36,6 +36,23 @@ def case_hash(case: Case) -> str:
     return hashlib.sha256(json.dumps(resolved_content(case)).encode()).hexdigest()
 
 
+def family_hash(case: Case) -> str:
+    """SHA-256 of a case with its variants, by their names; that of the case alone where it has none.
+
+    Raises
+    ------
+    OSError
+        Where a file cannot be read.
+    """
+    from phantomnode.pipeline.case import variants
+
+    own = case_hash(case)
+    if not case.variant:
+        return own
+    theirs = {name: case_hash(variant) for name, variant in variants(case).items()}
+    return hashlib.sha256(json.dumps([own, theirs]).encode()).hexdigest()
+
+
 def resolved_content(case: Case) -> dict[str, Any]:
     """The resolved case with, in place of the name of each file, its ending and the SHA-256 of its content."""
     table = case.model_dump(mode="json", exclude_none=True, exclude={"title", "name", "folder", "variant"})

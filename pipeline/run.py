@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.background import Background
 from phantomnode.pipeline.checkpoint import identity
-from phantomnode.pipeline.durations import parse_every, parse_limit
+from phantomnode.pipeline.durations import every_option
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.folder import cannot_write, finished_run, go_on_with, write_manifest
@@ -26,7 +26,7 @@ from phantomnode.pipeline.provenance import case_hash, provenance
 from phantomnode.pipeline.results import VARIANTS
 from phantomnode.pipeline.runlog import RunLog
 from phantomnode.pipeline.start import Start, new_start, resumed_start
-from phantomnode.pipeline.stopping import Stopping, WallLimit
+from phantomnode.pipeline.stopping import Stopping, WallLimit, wall_limit_from
 from phantomnode.pipeline.summary import Clock, Summary, summarize, verdict
 
 if TYPE_CHECKING:
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from phantomnode.pipeline.case import Case
     from phantomnode.pipeline.prepare import Prepared
     from phantomnode.solver.explicit import Frame
-
-Value = TypeVar("Value")
 
 
 def run(
@@ -49,6 +47,7 @@ def run(
     resume: bool = False,
     checkpoint_every: str | None = None,
     wall_limit: str | WallLimit | None = None,
+    ordered: Callable[[], bool] = lambda: False,
     main: Path | None = None,
 ) -> Summary:
     """Run a case into a folder.
@@ -76,6 +75,8 @@ def run(
         How often to write a checkpoint, as "0.5 ms", "1000 steps" or "10 min"; as the case says unless given.
     wall_limit : str or WallLimit, optional
         When to end with a checkpoint, as "23:50:00" or "2 h" from now.
+    ordered : callable
+        Asked a few times a second; where it says so, the run ends as on a signal.
     main : Path, optional
         The folder to name in the advice to go on; ``out`` unless given.
 
@@ -96,7 +97,7 @@ def run(
     began, folder, notes = time.perf_counter(), Path(out), list[str]()
     _refuse_source_folder(case, folder)
     check_threads(threads)
-    every = _option("--checkpoint-every", parse_every, checkpoint_every or case.output.checkpoint.every)
+    every = every_option(checkpoint_every or case.output.checkpoint.every)
     limit = wall_limit_from(wall_limit, began)
     if resume and (finished := finished_run(case, folder, notes)) is not None:
         _tell(console, [f"finished already: {folder}"])
@@ -107,7 +108,7 @@ def run(
     source: dict[str, Any] = {"case_hash": digest, "provenance": provenance(command, threads)}
     try:
         _mkdir(folder)
-        with FolderLock(folder) as lock, Stopping(limit) as stopping, ExitStack() as closing:
+        with FolderLock(folder) as lock, Stopping(limit, ordered) as stopping, ExitStack() as closing:
             if lock.taken_over:
                 notes.append(f"{folder}: the run before was killed; its folder is taken over")
             start = (
@@ -152,6 +153,7 @@ def run_all(
     resume: bool = False,
     checkpoint_every: str | None = None,
     wall_limit: str | None = None,
+    ordered: Callable[[], bool] = lambda: False,
 ) -> list[Summary]:
     """Run a case and its variants, and draw their profiles over each other.
 
@@ -166,23 +168,45 @@ def run_all(
     from phantomnode.pipeline.case import variants
 
     folder = Path(out)
-    label = case.method if case.method not in case.variant else case.name
-    cases = {label: (case, folder)}
+    cases = {"": (case, folder)}
     cases |= {name: (variant, folder / VARIANTS / name) for name, variant in variants(case).items()}
     limit = wall_limit_from(wall_limit, time.perf_counter())
     runs: dict[str, Path] = {}
     summaries: list[Summary] = []
     for name, (one, place) in cases.items():
-        runs[name] = place
-        summary = run(
-            one, place, console=console, command=command, threads=threads, resume=resume,
-            checkpoint_every=checkpoint_every, wall_limit=limit, main=folder,
-        )  # fmt: skip
+        runs[name or _label(case)] = place
+        with _told_of(name):
+            summary = run(
+                one, place, console=console, command=command, threads=threads, resume=resume,
+                checkpoint_every=checkpoint_every, wall_limit=limit, ordered=ordered, main=folder,
+            )  # fmt: skip
         summaries.append(summary)
         if summary.status == "interrupted":
             break
     _tell(console, [f"picture   {picture}" for picture in draw_profiles(runs, folder)])
     return summaries
+
+
+def _label(case: Case) -> str:
+    """The name of a case among its variants, for pictures."""
+    return case.method if case.method not in case.variant else case.name
+
+
+@contextmanager
+def _told_of(variant: str) -> Iterator[None]:
+    """What is wrong with a variant is told with its name."""
+    from phantomnode.geometry.errors import GeometryError
+
+    try:
+        yield
+    except CaseError as error:
+        raise CaseError([_named(variant, message) for message in error.messages]) from error
+    except GeometryError as error:
+        raise GeometryError(_named(variant, str(error))) from error
+
+
+def _named(variant: str, message: str) -> str:
+    return f"variant.{variant}: {message}" if variant else message
 
 
 def check(case: Case, out: Path | str, *, console: Console | None = None) -> Prepared:
@@ -232,19 +256,6 @@ def check_threads(threads: int) -> None:
             f"--threads {threads}: at most {config.NUMBA_NUM_THREADS} can take part here (the cores that this "
             "process may use, or NUMBA_NUM_THREADS where it is set)"
         )
-
-
-def wall_limit_from(limit: str | WallLimit | None, began: float) -> WallLimit | None:
-    """A wall limit as the user wrote it, from a reading of ``time.perf_counter`` on.
-
-    Raises
-    ------
-    CaseError
-        Where it is no time.
-    """
-    if isinstance(limit, str):
-        return WallLimit(_option("--wall-limit", parse_limit, limit), began)
-    return limit
 
 
 def march(
@@ -341,14 +352,6 @@ def _tell(console: Console | None, lines: Sequence[str]) -> None:
     if console is not None:
         for line in lines:
             console.print(line, soft_wrap=True, highlight=False, markup=False)
-
-
-def _option(name: str, parse: Callable[[str], Value], text: str) -> Value:
-    """The value of an option; what is wrong with it is told with its name."""
-    try:
-        return parse(text)
-    except ValueError as error:
-        raise CaseError(f"{name}: {error}") from error
 
 
 def _refuse_source_folder(case: Case, folder: Path) -> None:

@@ -25,7 +25,7 @@ from phantomnode.pipeline.messages import describe, listed, suggestion
 from phantomnode.pipeline.names import unique_names
 from phantomnode.pipeline.outputs import FIXED, known_outputs
 from phantomnode.pipeline.overrides import set_key
-from phantomnode.pipeline.provenance import case_hash
+from phantomnode.pipeline.provenance import family_hash
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.values import Name, Table
 
@@ -95,7 +95,7 @@ class Point:
     case : Case
         Validated.
     hash : str
-        Of the resolved case and its geometry files.
+        Of the resolved case with its variants and geometry files.
     """
 
     name: str
@@ -200,7 +200,6 @@ def _base(sweep: Sweep, file: Path) -> dict[str, Any]:
     table = read_toml(found)
     table["folder"] = str((found.parent / str(table.get("folder", "."))).resolve())
     table.setdefault("name", default_name(found))
-    table.pop("variant", None)  # a batch runs its own
     for key, value in sweep.set.items():
         try:
             set_key(table, key, value)
@@ -222,7 +221,7 @@ def _points(sweep: Sweep, base: Mapping[str, Any]) -> tuple[Point, ...]:
                 faults.setdefault(message, []).append(name)
     if faults:
         raise CaseError([_in_cases(message, found, len(names)) for message, found in faults.items()])
-    hashes = [case_hash(case) for case in cases]
+    hashes = [family_hash(case) for case in cases]
     _refuse_twins(names, hashes)
     return tuple(Point(*parts) for parts in zip(names, choices, cases, hashes, strict=True))
 

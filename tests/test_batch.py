@@ -36,6 +36,7 @@ from phantomnode.pipeline.one_case import (
     read_record,
     run_order,
 )
+from phantomnode.pipeline.stopping import Stopping
 from phantomnode.pipeline.sweep import load_study
 from phantomnode.pipeline.tally import Tally
 
@@ -69,10 +70,11 @@ def here(monkeypatch: pytest.MonkeyPatch):
     endings: dict[str, tuple[str, str]] = {}
     ran: list[str] = []
 
-    def outcomes(client: object, orders: list[Order]):
+    def outcomes(client: object, orders: list[Order], stopping: object):
         for place, order in enumerate(orders):
             name = Path(order.folder).name
             ran.append(name)
+            yield place, Outcome(RUNNING, "", {})
             Path(order.folder).mkdir(exist_ok=True)
             status, reason = endings.get(name, (DONE, ""))
             text = {"status": status, "reason": reason, "hash": order.hash, "version": VERSION, "batch": "b"}
@@ -195,22 +197,25 @@ def test_results_are_right_while_cases_run(sweep: Path, tmp_path: Path, here, mo
     monkeypatch.setattr("phantomnode.pipeline.ledger.EVERY", 0.0)
     inner, seen = batch_module.outcomes, []
 
-    def watched(client: object, orders: list[Order]):
-        for ended in inner(client, orders):
-            seen.append([row["status"] for row in rows(tmp_path / "out")])
+    def watched(client: object, orders: list[Order], stopping: object):
+        for ended in inner(client, orders, stopping):
             yield ended
+            seen.append([row["status"] for row in rows(tmp_path / "out")])
 
     monkeypatch.setattr(batch_module, "outcomes", watched)
     run_batch(sweep, tmp_path / "out")
-    assert seen == [["done"] * n + ["waiting"] * (4 - n) for n in range(4)]
+    kinds = [(["done"] * n + [now] + ["waiting"] * (3 - n)) for n in range(4) for now in ("running", "done")]
+    assert seen == kinds
 
 
 def test_an_interrupted_batch_says_so_and_is_resumed(sweep: Path, tmp_path: Path, here, monkeypatch) -> None:
     _, ran = here
     inner = batch_module.outcomes
 
-    def interrupted(client: object, orders: list[Order]):
-        yield next(iter(inner(client, orders)))
+    def interrupted(client: object, orders: list[Order], stopping: object):
+        ended = inner(client, orders, stopping)
+        yield next(ended)
+        yield next(ended)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(batch_module, "outcomes", interrupted)
@@ -322,13 +327,13 @@ def test_a_checkpoint_that_is_refused_lets_a_case_begin_anew(
     record = read_record(tmp_path) | {"status": RUNNING}
     (tmp_path / OUTCOME).write_text(json.dumps(record))
 
-    def run(case: Case, folder: str, *, resume: bool, **_: object) -> SimpleNamespace:
+    def run(case: Case, folder: str, *, resume: bool, **_: object) -> list[SimpleNamespace]:
         asked.append(resume)
         if resume:
             raise CaseError("a checkpoint of another build")
-        return SimpleNamespace(status=DONE, figures={"reason": ""})
+        return [SimpleNamespace(status=DONE, figures={"reason": ""})]
 
-    monkeypatch.setattr("phantomnode.pipeline.run.run", run)
+    monkeypatch.setattr("phantomnode.pipeline.run.run_all", run)
     assert run_order(order).status == DONE and asked == [True, False]
 
 
@@ -355,7 +360,8 @@ def test_a_worker_that_dies_takes_only_its_case_with_it(tmp_path: Path) -> None:
     names = ("bad", "good", "better")
     orders = [Order("", str(tmp_path / name), name, "b") for name in names]
     with client_of(Crew(1, 1, None), tmp_path) as client:
-        ended = {names[place]: outcome for place, outcome in outcomes(client, orders, batch_workers.deadly)}
+        found = [news for news in outcomes(client, orders, Stopping(), batch_workers.deadly) if news]
+    ended = {names[place]: outcome for place, outcome in found}  # the last one of each
     assert ended["bad"] == Outcome(FAILED, "its worker died 3 times", {})
     assert ended["good"].status == ended["better"].status == DONE
 
@@ -400,8 +406,12 @@ def test_the_plan_finds_ended_cases_by_their_hash(sweep: Path, tmp_path: Path) -
         "done",
         "waiting",
     ]
-    for wrong in ({"version": "0"}, {"hash": "0"}, {"status": RUNNING}):
+    for wrong in ({"version": "0"}, {"hash": "0"}):
         (folder / OUTCOME).write_text(json.dumps(record | wrong))
         assert ledger_of(study, tmp_path).count() == {"waiting": 4}
+    (folder / OUTCOME).write_text(json.dumps(record | {"status": RUNNING}))
+    assert ledger_of(study, tmp_path).count() == {"waiting": 3, "interrupted": 1}
+    with held(folder / ".case.lock"):
+        assert ledger_of(study, tmp_path).count() == {"waiting": 3, "running": 1}
     (folder / OUTCOME).write_text("{ half")
     assert ledger_of(study, tmp_path).count() == {"waiting": 4}

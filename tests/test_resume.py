@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import platform
 import random
 import shutil
 import signal
@@ -17,7 +19,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from phantomnode.pipeline import checkpoint
+from phantomnode.pipeline import checkpoint, lock
 from phantomnode.pipeline.case import Case, load_case, variants
 from phantomnode.pipeline.checkpoint import Damaged, checkpoints, packed, unpacked
 from phantomnode.pipeline.errors import CaseError
@@ -295,7 +297,7 @@ def test_two_runs_in_one_folder_are_refused(starter: Case, tmp_path: Path) -> No
 
 
 def test_the_lock_of_a_dead_process_is_taken_over_and_one_of_another_machine_is_not(
-    starter: Case, tmp_path: Path
+    starter: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -307,9 +309,64 @@ def test_the_lock_of_a_dead_process_is_taken_over_and_one_of_another_machine_is_
     assert (out / LOCK).exists() and not is_locked(out)
     assert run(starter, out).status == "done"
     assert "killed; its folder is taken over" in (out / "run.log").read_text()
-    (out / LOCK).write_text('{"machine": "elsewhere", "process": 1}')
-    with pytest.raises(CaseError, match="process 1 on elsewhere.*remove"):
+    left = '{"machine": "elsewhere", "process": 1}'
+    (out / LOCK).write_text(left)
+    monkeypatch.setattr(lock, "file_system", lambda path: ("lustre", {"rw"}))
+    assert is_locked(out)
+    with pytest.raises(
+        CaseError, match="process 1 on elsewhere .* kind lustre .* ps -p 1. .* rm .*/.lock and"
+    ):
         run(starter, out)
+    assert (out / LOCK).read_text() == left
+    monkeypatch.undo()  # on the file system of this machine, a container of another name may have left it
+    with FolderLock(out) as held:
+        assert held.taken_over
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "seen"),
+    [
+        ("ext4", "rw", True),
+        ("nfs4", "rw,vers=4.2,local_lock=none", True),
+        ("nfs", "rw,vers=3,nolock", False),
+        ("nfs4", "rw,local_lock=flock", False),
+        ("nfs", "rw,local_lock=all", False),
+        ("lustre", "rw,flock", False),
+        ("", "", False),
+    ],
+)
+def test_whose_locks_a_file_system_shows(kind: str, options: str, seen: bool) -> None:
+    assert lock._all_see(kind, {*options.split(",")}) is seen
+
+
+def test_the_file_system_of_a_folder_is_that_of_the_innermost_mount(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = (
+        "1 0 8:1 / / rw shared:1 - ext4 /dev/a rw\n"
+        "2 1 0:4 / /data\\040of\\040all rw - nfs4 server:/data rw,local_lock=none\n"
+        "3 2 0:5 / /data\\040of\\040all/fast rw,noatime - tmpfs tmpfs rw,size=2048k\n"
+    )
+    monkeypatch.setattr(Path, "read_text", lambda self, **_: text)
+    assert lock.file_system(Path("/data of all/study")) == ("nfs4", {"rw", "local_lock=none"})
+    assert lock.file_system(Path("/data of all/fast/a"))[0] == "tmpfs"
+    assert lock.file_system(Path("/data"))[0] == "ext4"
+
+
+def test_where_there_are_no_locks_a_dead_process_holds_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: object) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(lock.fcntl, "flock", unsupported)
+    with FolderLock(tmp_path), pytest.raises(CaseError, match="another run is at work"):
+        FolderLock(tmp_path)
+    dead = subprocess.Popen([sys.executable, "-c", ""])
+    dead.wait()
+    (tmp_path / LOCK).write_text(json.dumps({"machine": platform.node(), "process": dead.pid}))
+    with FolderLock(tmp_path) as held:
+        assert held.taken_over
 
 
 def test_trees_come_back_to_the_bit() -> None:

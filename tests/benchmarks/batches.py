@@ -32,7 +32,7 @@ def batches(plan: Plan) -> Iterator[Figure]:
     count, outcomes = plan.sized(1000, 2), engine.outcomes
     with (
         TemporaryDirectory() as folder,
-        patch.object(batch, "outcomes", lambda client, orders: outcomes(client, orders, idle)),
+        patch.object(batch, "outcomes", lambda *given: outcomes(*given, idle)),
     ):
         sweep = Path(folder) / "sweep.toml"
         sweep.write_text(SWEEP.format(count=count))
