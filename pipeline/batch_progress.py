@@ -26,7 +26,7 @@ def progress_of(cases: int, console: Console | None) -> Iterator[Progress]:
     """The progress that suits the console, for so many cases; none without one."""
     if console is None:
         yield Silence()
-    elif console.is_terminal:
+    elif console.is_terminal and not console.is_dumb_terminal:
         with _bar(console) as bar:
             yield Bar(bar, cases)
     else:

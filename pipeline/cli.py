@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
-from itertools import count, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -16,14 +14,12 @@ from cyclopts import App, Parameter
 
 import phantomnode
 from phantomnode.pipeline.cli_pictures import animate, plot
-from phantomnode.pipeline.console import DONE, INTERRUPTED, SOME_FAILED, STOPPED, guarded
+from phantomnode.pipeline.console import DONE, INTERRUPTED, SOME_FAILED, STOPPED, TALK, Talk, guarded
+from phantomnode.pipeline.places import RESULTS, folder_to_resume, results_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from phantomnode.pipeline.schema import Case
-
-RESULTS = Path("results")
 
 CaseSource = Annotated[
     str,
@@ -95,6 +91,7 @@ def run(
             "any number. Small models keep to one all the same."
         ),
     ] = 1,
+    talk: Talk = TALK,
 ) -> int:
     """Run a case, and its variants where it has some, and write the results.
 
@@ -131,7 +128,7 @@ def run(
         codes = {"done": DONE, "stopped": STOPPED, "interrupted": INTERRUPTED}
         return max(codes[summary.status] for summary in summaries)
 
-    return guarded(command)
+    return guarded(command, talk)
 
 
 @app.command
@@ -174,6 +171,7 @@ def batch(
     dry_run: Annotated[
         bool, Parameter(negative=(), show_default=False, help="Print the cases; run and write nothing.")
     ] = False,
+    talk: Talk = TALK,
 ) -> int:
     """Run all cases of a sweep on several processes; write results.csv and plots.
 
@@ -200,7 +198,7 @@ def batch(
         )  # fmt: skip
         return {"done": DONE, "failed": SOME_FAILED, "interrupted": INTERRUPTED}[ended.status]
 
-    return guarded(command)
+    return guarded(command, talk)
 
 
 @app.command
@@ -212,6 +210,7 @@ def check(
         Path | None, Parameter(help="Folder for preview.png and preview.vtu; results/NAME unless given.")
     ] = None,
     set_: Overrides = (),
+    talk: Talk = TALK,
 ) -> int:
     """Validate and prepare a case, report what a run would do, draw a preview; run no step.
 
@@ -232,7 +231,7 @@ def check(
         check_case(loaded, out or RESULTS / loaded.name, console=console)
         return DONE
 
-    return guarded(command)
+    return guarded(command, talk)
 
 
 @app.command
@@ -293,6 +292,7 @@ def report(
     out: Annotated[
         Path | None, Parameter(help="Folder for the page and the pictures; the first DIR unless given.")
     ] = None,
+    talk: Talk = TALK,
 ) -> int:
     """Write one HTML page of a run or a batch; of several runs, one that compares them. Profiles go over each other.
 
@@ -315,7 +315,7 @@ def report(
             console.print(f"{what}  {file}", soft_wrap=True, highlight=False)
         return DONE
 
-    return guarded(command)
+    return guarded(command, talk)
 
 
 app.command(plot)
@@ -338,81 +338,6 @@ def schema() -> int:
 
     print(json.dumps(json_schema(), indent=2))
     return DONE
-
-
-def results_folder(case: Case, out: Path | None, source: Path, overwrite: bool = False) -> Path:
-    """Where the results of a run go, such that no finished run is lost.
-
-    Parameters
-    ----------
-    case : Case
-    out : Path or None
-        The folder that was asked for; None for the first free one of results/NAME, results/NAME-2, ...
-    source : Path
-        The case file.
-    overwrite : bool
-        Whether a finished run in ``out`` may be written over.
-
-    Raises
-    ------
-    CaseError
-        If ``out`` holds a finished run, the case file itself, or is no folder.
-    """
-    from phantomnode.pipeline.errors import CaseError
-    from phantomnode.pipeline.folder import holds_a_run, status_of
-
-    if out is None:
-        return next(folder for folder in _numbered(case) if not holds_a_run(folder))
-    if out.exists() and not out.is_dir():
-        raise CaseError(f"--out {out}: is a file; name a folder")
-    if out.resolve() == source.resolve().parent:
-        raise CaseError(
-            f"--out {out}: holds the case file itself, which the results would replace; name another"
-        )
-    if holds_a_run(out) and not overwrite:
-        if status_of(out) in ("done", "stopped"):
-            raise CaseError(f"--out {out}: holds a finished run; name another folder, or add --overwrite")
-        raise CaseError(
-            f"--out {out}: holds a run that has not come to its end; add --resume to go on with it, "
-            "--overwrite to start again, or name another folder"
-        )
-    return out
-
-
-def folder_to_resume(case: Case, out: Path | None, source: Path) -> Path:
-    """The folder of the run to go on with.
-
-    Parameters
-    ----------
-    case : Case
-    out : Path or None
-        The folder that was asked for; None for that of the case file where it is one of a run, else for the last
-        of results/NAME, NAME-2, ... in which a run has not come to its end.
-    source : Path
-        The case file.
-
-    Raises
-    ------
-    CaseError
-        If ``out`` is no folder.
-    """
-    from phantomnode.pipeline.errors import CaseError
-    from phantomnode.pipeline.folder import status_of
-
-    if out is not None:
-        if out.exists() and not out.is_dir():
-            raise CaseError(f"--out {out}: is a file; name a folder")
-        return out
-    if source.name == "case.toml" and (source.parent / "run.log").is_file():
-        return source.parent
-    there = list(takewhile(Path.is_dir, _numbered(case)))
-    unfinished = [folder for folder in there if status_of(folder) not in ("done", "stopped")]
-    return [RESULTS / case.name, *there, *unfinished][-1]
-
-
-def _numbered(case: Case) -> Iterator[Path]:
-    """results/NAME, results/NAME-2, ..."""
-    return (RESULTS / (case.name if number == 1 else f"{case.name}-{number}") for number in count(1))
 
 
 def main() -> None:

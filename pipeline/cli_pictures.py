@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from phantomnode.pipeline.console import DONE, guarded
+from phantomnode.pipeline.console import DONE, TALK, Talk, guarded
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,6 +55,7 @@ def plot(
     pair: Annotated[str | None, Parameter(help="The contact pair; the first unless given.")] = None,
     range_: Limits = None,
     zoom: Zoom = None,
+    talk: Talk = TALK,
 ) -> int:
     """Draw pictures of a run: fields, contact pressure, histories, level sets, nodes.
 
@@ -80,7 +81,7 @@ def plot(
             console.print(f"picture   {path}", soft_wrap=True, highlight=False, markup=False)
         return DONE
 
-    return guarded(command)
+    return guarded(command, talk)
 
 
 def animate(
@@ -98,6 +99,7 @@ def animate(
     width: Annotated[int, Parameter(help="Of the film, in pixels.")] = 800,
     range_: Limits = None,
     zoom: Zoom = None,
+    talk: Talk = TALK,
 ) -> int:
     """Make a film of a field over all frames of a run, as GIF or MP4.
 
@@ -119,4 +121,4 @@ def animate(
         console.print(f"film      {film}", soft_wrap=True, highlight=False, markup=False)
         return DONE
 
-    return guarded(command)
+    return guarded(command, talk)

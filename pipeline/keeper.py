@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,6 +18,8 @@ from phantomnode.pipeline.stopping import Stopping
 if TYPE_CHECKING:
     from phantomnode.pipeline.background import Background
     from phantomnode.solver.explicit import Frame
+
+LOG = logging.getLogger(__name__)
 
 
 class Keeper:
@@ -88,6 +91,7 @@ class Keeper:
             file.reach_disk()
         tree["files"] = {name: file.saved() for name, file in files.items()}
         write_checkpoint(self._folder, step, tree)
+        LOG.info("checkpoint at step %d, in %.2f s", step, time.perf_counter() - began)
         self._stopping.slowest = max(self._stopping.slowest, time.perf_counter() - began)
 
 

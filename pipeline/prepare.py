@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import time
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -29,6 +31,8 @@ from phantomnode.solver.timestep import StepEstimate, stable_step
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -132,7 +136,14 @@ def prepare(case: Case) -> Prepared:
         Naming the key at fault: a file that cannot be read, a body outside its grid, an unknown part, surfaces
         that overlap at the start, a step that is not stable.
     """
-    cut = {name: cut_body(case, name) for name in case.body}
+    cut = {}
+    for name in case.body:
+        began = time.perf_counter()
+        cut[name] = cut_body(case, name)
+        counts = len(cut[name].mesh.elements), int(cut[name].mesh.cut.sum())
+        LOG.info(
+            "body %s: %d elements, %d of them cut, in %.2f s", name, *counts, time.perf_counter() - began
+        )
     bodies = _bodies(case, cut)
     first_node = {body.name: body.nodes.start for body in bodies}
     rigids = rigid_obstacles(case, cut, bodies[-1].nodes.stop)

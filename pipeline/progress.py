@@ -84,7 +84,8 @@ def watcher(
 ) -> LiveBar | PlainLines:
     """The progress observer that suits the console."""
     first = resumed.step if resumed is not None else 0
-    return LiveBar(prepared, steps, console, first) if console.is_terminal else PlainLines(steps, console)
+    live = console.is_terminal and not console.is_dumb_terminal
+    return LiveBar(prepared, steps, console, first) if live else PlainLines(steps, console)
 
 
 def describe(frame: Frame) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -20,14 +21,14 @@ from phantomnode.pipeline.folder import cannot_write, finished_run, go_on_with, 
 from phantomnode.pipeline.keeper import Keeper
 from phantomnode.pipeline.lock import FolderLock
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
-from phantomnode.pipeline.preflight import report, steps_of
+from phantomnode.pipeline.preflight import report, steps_of, text_report
 from phantomnode.pipeline.profile import draw_profiles, profile_steps, stations
 from phantomnode.pipeline.provenance import case_hash, provenance
 from phantomnode.pipeline.results import VARIANTS
 from phantomnode.pipeline.runlog import RunLog
 from phantomnode.pipeline.start import Start, new_start, resumed_start
 from phantomnode.pipeline.stopping import Stopping, WallLimit, wall_limit_from
-from phantomnode.pipeline.summary import Clock, Summary, summarize, verdict
+from phantomnode.pipeline.summary import Clock, Summary, show, summarize
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
     from phantomnode.pipeline.case import Case
     from phantomnode.pipeline.prepare import Prepared
     from phantomnode.solver.explicit import Frame
+
+LOG = logging.getLogger(__name__)
 
 
 def run(
@@ -103,6 +106,9 @@ def run(
         _tell(console, [f"finished already: {folder}"])
         return finished
     prepared = prepare(case)
+    LOG.info("prepared in %.2f s", time.perf_counter() - began)
+    if LOG.isEnabledFor(logging.INFO):
+        LOG.info("%s", text_report(prepared).strip())
     lines, digest = stations(prepared), case_hash(case)
     own = identity(digest, prepared.model)
     source: dict[str, Any] = {"case_hash": digest, "provenance": provenance(command, threads)}
@@ -134,10 +140,11 @@ def run(
             source["resumed_at"] = list(start.past.resumed_at)
             summary = summarize(prepared, start.tally, ending, clock, folder, source)
             _finish(prepared, start, summary, log)
+            LOG.info("summary, picture and manifest are written; %.2f s in all", wall)
     except OSError as error:
         raise cannot_write(error, folder, main or folder) from error
     if console is not None:
-        console.print(verdict(summary))
+        show(console, summary)
         if ending.status == "interrupted":
             _tell(console, [ending.advice])
     return summary
@@ -282,6 +289,8 @@ def march(
             stepping += time.perf_counter() - began
             if frame is None:
                 break
+            if last is resume:
+                LOG.info("the kernels are loaded, and the first frame is there, in %.2f s", stepping)
             last = frame
             stopping.moved()
             if frame.step in samples:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.preflight import text_report
 from phantomnode.pipeline.prepare import Prepared
-from phantomnode.pipeline.summary import Summary, highlights
+from phantomnode.pipeline.summary import Summary, verdict_lines
 
 if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
@@ -61,13 +61,7 @@ class RunLog:
 
     def close(self, summary: Summary) -> None:
         """Add how the run ended."""
-        figures = summary.figures
-        self._lines.append(f"status: {summary.status}")
-        self._lines += [text for text in (figures["reason"], figures["advice"]) if text]
-        for item in summary.checks:
-            word = "PASS" if item.passed else f"WARN ({item.advice})"
-            self._lines.append(f"{item.name}: {item.value:.3g} (limit {item.limit:g}) {word}")
-        self._lines += highlights(figures)
+        self._lines += verdict_lines(summary)
         self._write()
 
     def _write(self) -> None:

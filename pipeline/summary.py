@@ -263,11 +263,10 @@ def verdict(summary: Summary) -> RenderableType:
         # The command that goes on with a run is printed below, in one line, to be copied.
         lines += [Text(figures["advice"])] if summary.status == "stopped" else []
     lines += [Text(line) for line in highlights(figures)]
-    lines += [Text(f"results   {summary.path}"), Text(f"look at   paraview {summary.path / 'fields.pvd'}")]
-    title = "can be trusted" if summary.trusted else "look before you trust it"
+    lines += [Text(line) for line in _where(summary)]
     style = "green" if summary.trusted else "yellow" if summary.status == "done" else "red"
     heading = figures["title"] or figures["case"]
-    return Panel(Group(*lines), title=f"{heading}: {summary.status}, {title}", border_style=style)
+    return Panel(Group(*lines), title=f"{heading}: {summary.status}, {_heading(summary)}", border_style=style)
 
 
 def highlights(figures: dict[str, Any]) -> list[str]:
@@ -314,5 +313,35 @@ def _plain(value: Any) -> Any:
 
 
 def show(console: Console, summary: Summary) -> None:
-    """Print the verdict."""
-    console.print(verdict(summary))
+    """Print the verdict: a panel on a terminal, plain lines that nothing wraps in a log."""
+    if console.is_terminal:
+        console.print(verdict(summary))
+        return
+    title = summary.figures["title"] or summary.figures["case"]
+    heading = f"{title}: {summary.status}, {_heading(summary)}"
+    for line in (heading, *verdict_lines(summary), *_where(summary)):
+        console.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def verdict_lines(summary: Summary) -> list[str]:
+    """The verdict as lines of text, for logs."""
+    figures = summary.figures
+    lines = [f"status: {summary.status}", *(text for text in (figures["reason"], figures["advice"]) if text)]
+    for item in summary.checks:
+        word = "PASS" if item.passed else f"WARN ({item.advice})"
+        lines.append(f"{item.name}: {item.value:.3g} (limit {item.limit:g}) {word}")
+    return [*lines, *highlights(figures)]
+
+
+def _where(summary: Summary) -> list[str]:
+    """Where the results are, and how to look at them."""
+    path = summary.path
+    return [
+        f"results   {path}",
+        f"look at   paraview {path / 'fields.pvd'}",
+        f"          phantomnode report {path}",
+    ]
+
+
+def _heading(summary: Summary) -> str:
+    return "can be trusted" if summary.trusted else "look before you trust it"

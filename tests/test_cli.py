@@ -74,7 +74,18 @@ def test_help_answers_within_a_second_and_shows_every_command() -> None:
     shown = subprocess.run([sys.executable, "-m", "phantomnode", "--help"], capture_output=True, text=True)
     assert time.perf_counter() - began < 1.0  # asked for by users; 0.2 s when measured
     assert shown.returncode == 0
-    for word in ("run", "check", "cases", "new", "report", "plot", "animate", "schema", "--version", "Exit codes"):
+    for word in (
+        "run",
+        "check",
+        "cases",
+        "new",
+        "report",
+        "plot",
+        "animate",
+        "schema",
+        "--version",
+        "Exit codes",
+    ):
         assert word in shown.stdout
 
 
@@ -141,7 +152,9 @@ def test_the_starter_drawing_holds_the_disc_in_millimetres(line: Line) -> None:
 def test_cases_lists_the_bundled_ones(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
     assert line("cases") == 0
     out = capsys.readouterr().out
-    assert "Ring impact on an obstacle (paper, 4.4)" in out and "Run one: phantomnode run block_contact" in out
+    assert (
+        "Ring impact on an obstacle (paper, 4.4)" in out and "Run one: phantomnode run block_contact" in out
+    )
 
 
 def test_schema_prints_json(line: Line, capsys: pytest.CaptureFixture[str]) -> None:
