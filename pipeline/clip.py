@@ -93,14 +93,17 @@ class ClippedBodies:
         return np.concatenate([nodal[self.nodes[: self.on_nodes, 0]], inner])
 
     def per_cell(self, uncut: Floats, points: Floats) -> Floats:
-        """(q + t, ...) One value a cell from uncut elements, (q, ...), and integration points, (3 t, ...).
+        """(q + t, ...) One value a cell from uncut elements, (q, ...), and integration points, (3 t, ...)."""
+        return np.concatenate([uncut, self.means(points)])
+
+    def means(self, points: Floats) -> Floats:
+        """(t, ...) One value a triangle from (3 t, ...) values at its integration points.
 
         With one point a triangle there are t rows of points. A triangle takes the mean of its points, which
         carry equal weights.
         """
         each = max(len(points) // max(len(self.triangles), 1), 1)
-        means = points.reshape(len(self.triangles), each, *points.shape[1:]).mean(axis=1)
-        return np.concatenate([uncut, means])
+        return np.asarray(points.reshape(len(self.triangles), each, *points.shape[1:]).mean(axis=1))
 
     def outline(self) -> Ints:
         """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces."""

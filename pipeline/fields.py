@@ -24,6 +24,8 @@ from phantomnode.pipeline.vtu import (
     VTK_LINE,
     VTK_QUAD,
     VTK_TRIANGLE,
+    Encoded,
+    Encoding,
     Series,
     cells,
     data_array,
@@ -33,6 +35,10 @@ from phantomnode.pipeline.vtu import (
 
 if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
+
+
+STRAIGHT = 1e-4
+"""Coordinates are rounded by at most this part of a cell: far less than a pixel of a picture of it."""
 
 
 class CellFields(NamedTuple):
@@ -64,8 +70,9 @@ def cell_fields(prepared: Prepared, clipped: ClippedBodies, u: Floats) -> CellFi
 
 def tensors(xx: Floats, yy: Floats, zz: Floats, xy: Floats) -> Floats:
     """(m, 6) Symmetric tensors in VTK's order XX YY ZZ XY YZ XZ from their (m,) components."""
-    zero = np.zeros_like(xx)
-    return np.column_stack([xx, yy, zz, xy, zero, zero])
+    both = np.zeros((len(xx), 6))
+    both[:, 0], both[:, 1], both[:, 2], both[:, 3] = xx, yy, zz, xy
+    return both
 
 
 class Fields(Sampled):
@@ -131,32 +138,71 @@ class Fields(Sampled):
         }
 
 
+def encoding_of(prepared: Prepared) -> Encoding:
+    """How the case wants its arrays to be stored."""
+    return Encoding(prepared.case.output.fields.precision, prepared.case.output.fields.compression)
+
+
+def encoding_of_points(prepared: Prepared) -> Encoding:
+    """The same; in float64 where bodies lie so far from the origin that float32 would bend their cells."""
+    encoding = encoding_of(prepared)
+    rounding = 2.0**-24 * float(np.abs(prepared.model.x).max())
+    cell = min(body.grid.cell_size for body in prepared.bodies)
+    return encoding if rounding <= STRAIGHT * cell else encoding._replace(precision="float64")
+
+
 class BodiesFile:
-    """The files of fields.pvd: what stays the same from one to the next is encoded once."""
+    """The files of fields.pvd: what stays the same from one to the next is encoded once.
+
+    Its arrays are kept, too: to have the system map fresh memory for each frame would take as long as to compute it.
+    """
 
     def __init__(self, prepared: Prepared) -> None:
         self._prepared = prepared
+        self._encoding = encoding = encoding_of(prepared)
+        self._points_as = encoding_of_points(prepared)
         self._clipped = clipped = ClippedBodies.of(prepared)
-        self._cells = cells((VTK_QUAD, clipped.quads), (VTK_TRIANGLE, clipped.triangles))
+        blocks = (VTK_QUAD, clipped.quads), (VTK_TRIANGLE, clipped.triangles)
+        self._cells = cells(*blocks, encoding=encoding)
         self._start = clipped.interpolate(prepared.model.x)
         labels = {"body": clipped.body, "side": clipped.side, "fraction": clipped.fraction}
-        self._labels = {name: data_array(name, values) for name, values in labels.items()}
+        self._labels = {name: data_array(name, values, encoding) for name, values in labels.items()}
+        number, kind = len(clipped.body), np.dtype(encoding.precision)
+        self._state = {
+            "stress": np.zeros((number, 6), kind),
+            "von_mises": np.zeros(number, kind),
+            "hencky_strain": np.zeros((number, 6), kind),
+            "J": np.zeros(number, kind),
+        }
+        self._motion = {
+            "displacement": np.zeros((len(self._start), 3), kind),
+            "velocity": np.zeros((len(self._start), 3), kind),
+        }
 
     def vtu(self, frame: Frame) -> bytes:
         """The content of one file."""
-        u, v = self._clipped.interpolate(frame.u), self._clipped.interpolate(frame.v)
-        state = cell_fields(self._prepared, self._clipped, frame.u)
-        xx, yy, zz, xy = state.cauchy.T
-        exx, eyy, exy = state.hencky.T
-        cell_data: Mapping[str, NDArray[np.generic] | bytes] = {
-            "stress": tensors(xx, yy, zz, xy),
-            "von_mises": state.von_mises,
-            "hencky_strain": tensors(exx, eyy, np.zeros_like(exx), exy),  # plane strain: zz is zero
-            "J": state.volume_ratio,
-            **self._labels,
-        }
-        point_data = {"displacement": vectors(u), "velocity": vectors(v)}
-        return vtu_bytes(self._start + u, self._cells, point_data, cell_data, frame.time)
+        self._set_state(frame.u)
+        u = self._clipped.interpolate(frame.u)
+        self._motion["displacement"][:, :2] = u
+        self._motion["velocity"][:, :2] = self._clipped.interpolate(frame.v)
+        return vtu_bytes(
+            self._start + u, self._cells, self._motion, {**self._state, **self._labels}, frame.time,
+            self._encoding, self._points_as,
+        )  # fmt: skip
+
+    def _set_state(self, u: Floats) -> None:
+        """Stress and strain of every cell from (n, 2) nodal displacements, as :func:`cell_fields` has them."""
+        from phantomnode.solver.stress import cut_stress, element_stress, von_mises
+
+        model, split = self._prepared.model, len(self._clipped.quads)
+        uncut = element_stress(model.elements, u)
+        means = (self._clipped.means(values) for values in cut_stress(model.cut_elements, u))
+        for part, (cauchy, hencky, ratio) in ((slice(split), uncut), (slice(split, None), tuple(means))):
+            self._state["stress"][part, :4] = cauchy
+            self._state["von_mises"][part] = von_mises(cauchy)
+            self._state["hencky_strain"][part, :2] = hencky[:, :2]  # plane strain: zz is zero
+            self._state["hencky_strain"][part, 3] = hencky[:, 2]
+            self._state["J"][part] = ratio
 
 
 class ContactLines(NamedTuple):
@@ -234,8 +280,10 @@ class ContactFile:
         counts = [len(pair.segment_nodes) for pair in prepared.pairs]
         counts += [len(rigid.segments) for rigid in prepared.rigids]
         numbers = [*range(len(prepared.pairs)), *(-1 for _ in prepared.rigids)]
-        self._cells = cells((VTK_LINE, np.arange(2 * sum(counts)).reshape(-1, 2)))
-        self._pair = data_array("pair", np.repeat(numbers, counts))
+        self._encoding = encoding = encoding_of(prepared)
+        self._points_as = encoding_of_points(prepared)
+        self._cells = cells((VTK_LINE, np.arange(2 * sum(counts)).reshape(-1, 2)), encoding=encoding)
+        self._pair = data_array("pair", np.repeat(numbers, counts), encoding)
 
     def vtu(self, frame: Frame) -> bytes:
         """The content of one file."""
@@ -243,7 +291,7 @@ class ContactFile:
         lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
         lines += [_obstacle_lines(rigid, prepared.model.x + frame.u) for rigid in prepared.rigids]
         ends, pressure, filtered, traction, gap, normal = map(np.concatenate, zip(*lines, strict=True))
-        cell_data: Mapping[str, NDArray[np.generic] | bytes] = {
+        cell_data: Mapping[str, NDArray[np.generic] | Encoded] = {
             "pressure": pressure,
             "pressure_filtered": filtered,
             "traction": vectors(traction),
@@ -251,4 +299,5 @@ class ContactFile:
             "normal": vectors(normal),
             "pair": self._pair,
         }
-        return vtu_bytes(ends.reshape(-1, 2), self._cells, {}, cell_data, frame.time)
+        points, encoding = ends.reshape(-1, 2), self._encoding
+        return vtu_bytes(points, self._cells, {}, cell_data, frame.time, encoding, self._points_as)

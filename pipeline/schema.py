@@ -5,6 +5,7 @@ Everything is SI: metres, seconds, kilograms, pascals; angles in degrees.
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -203,6 +204,28 @@ class Frames(Table):
     count: Count = Field(description="number of times written after the start, at equal intervals")
 
 
+class FieldFrames(Frames):
+    """How often to write fields for ParaView, and how."""
+
+    precision: Literal["float32", "float64"] = Field(
+        default="float32",
+        description="of the stored numbers; points get float64 where float32 would move them by 1e-4 of a cell",
+    )
+    compression: Literal["zlib", "lz4", "none"] = Field(
+        default="zlib",
+        description="what packs them: zlib (smallest, read by all), lz4 (faster; needs phantomnode[lz4]) or none",
+    )
+
+    @model_validator(mode="after")
+    def _packer(self) -> FieldFrames:
+        if self.compression == "lz4" and find_spec("lz4") is None:
+            raise ValueError(
+                'compression = "lz4" needs the package lz4, which is not here: pip install "phantomnode[lz4]", '
+                'or take "zlib"'
+            )
+        return self
+
+
 class Profile(Table):
     """A quantity along a straight line, at some times."""
 
@@ -240,7 +263,10 @@ class Checkpoint(Table):
 class Output(Table):
     """What to write."""
 
-    fields: Frames = Field(default=Frames(count=60), description="fields for ParaView")
+    fields: FieldFrames = Field(
+        default=FieldFrames(count=60),
+        description='fields for ParaView: { count = 60, precision = "float32", compression = "zlib" }',
+    )
     history: Frames = Field(default=Frames(count=2000), description="rows of history.csv")
     profile: dict[Name, Profile] = Field(default={}, description="quantities along lines, at some times")
     checkpoint: Checkpoint = Field(default=Checkpoint(), description='{ every = "10 min" }')

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import struct
 import zlib
-from base64 import b64decode
+from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -20,7 +20,7 @@ TYPES = {
     "Float32": "f4", "Float64": "f8", "Int8": "i1", "Int32": "i4", "Int64": "i8", "UInt8": "u1",
     "UInt32": "u4", "UInt64": "u8",
 }  # fmt: skip
-HEADERS = {"UInt32": "I", "UInt64": "Q"}
+APPENDED = b'<AppendedData encoding="raw">\n_'
 
 
 class Grid(NamedTuple):
@@ -74,7 +74,7 @@ def read_pvd(path: Path) -> list[tuple[float, Path]]:
 
 
 def read_vtu(path: Path) -> Grid:
-    """One grid as this program writes it: a single piece, its arrays in line, in base64, packed by zlib or not.
+    """One grid as this program writes it: a single piece, its arrays appended in binary, packed or not.
 
     Raises
     ------
@@ -82,11 +82,15 @@ def read_vtu(path: Path) -> Grid:
         Where the file is missing, damaged or written otherwise.
     """
     try:
-        root = ElementTree.parse(path).getroot()
+        text, mark, binary = path.read_bytes().partition(APPENDED)
+        if not mark:
+            raise ValueError("its arrays are not appended in binary")
+        root = ElementTree.fromstring(text + b"</VTKFile>")
         piece = root.find("UnstructuredGrid/Piece")
         if piece is None:
             raise ValueError("no piece of an unstructured grid")
-        sections = {tag: _section(root, piece, tag) for tag in ("PointData", "CellData", "Points", "Cells")}
+        arrays = Arrays(memoryview(binary), root)
+        sections = {tag: arrays.of(piece, tag) for tag in ("PointData", "CellData", "Points", "Cells")}
         cells = sections["Cells"]
         return Grid(
             sections["Points"]["Points"], cells["connectivity"], cells["offsets"], cells["types"],
@@ -94,38 +98,71 @@ def read_vtu(path: Path) -> Grid:
         )  # fmt: skip
     except FileNotFoundError:
         raise CaseError(f"{path}: the series names this file, and it is not there") from None
-    except (ElementTree.ParseError, KeyError, ValueError, struct.error, zlib.error) as error:
+    except (ElementTree.ParseError, KeyError, ValueError, zlib.error, RuntimeError) as error:
         raise CaseError(f"{path}: cannot be read as a frame of this program ({error})") from error
 
 
-def _section(root: ElementTree.Element, piece: ElementTree.Element, tag: str) -> dict[str, Array]:
-    """The arrays of points or cells by their names."""
-    found = piece.find(tag)
-    return {} if found is None else {array.attrib["Name"]: _array(root, array) for array in found}
+class Arrays:
+    """The arrays behind the XML of a file.
+
+    Parameters
+    ----------
+    binary : memoryview
+        What is appended, from the first array on.
+    root : Element
+        The XML.
+    """
+
+    def __init__(self, binary: memoryview, root: ElementTree.Element) -> None:
+        self._binary = binary
+        self._order = "<" if root.attrib["byte_order"] == "LittleEndian" else ">"
+        self._header = np.dtype(self._order + TYPES[root.attrib.get("header_type", "UInt32")])
+        self._unpack = _unpacker(root.attrib.get("compressor"))
+
+    def of(self, piece: ElementTree.Element, tag: str) -> dict[str, Array]:
+        """The arrays of points or cells by their names."""
+        found = piece.find(tag)
+        return {} if found is None else {array.attrib["Name"]: self._array(array) for array in found}
+
+    def _array(self, array: ElementTree.Element) -> Array:
+        """One array, (k,) or (k, c)."""
+        content = self._content(int(array.attrib["offset"]))
+        values = np.frombuffer(content, dtype=self._order + TYPES[array.attrib["type"]])
+        width = int(array.attrib.get("NumberOfComponents", 1))
+        return values.reshape(-1, width) if width > 1 else values
+
+    def _content(self, offset: int) -> bytes | memoryview:
+        """The bytes of an array: behind their number, or in blocks behind the sizes of these."""
+        first = self._sizes(offset, 1)[0]
+        if self._unpack is None:
+            return self._piece(offset + self._header.itemsize, first)
+        whole, last, *sizes = self._sizes(offset + self._header.itemsize, 2 + first)
+        lengths = [whole] * (first - 1) + [last or whole]
+        starts = offset + (3 + first) * self._header.itemsize + np.cumsum((0, *sizes[:-1]))
+        pieces = zip(starts, sizes, lengths, strict=True)
+        return b"".join(self._unpack(self._piece(start, size), length) for start, size, length in pieces)
+
+    def _sizes(self, offset: int, count: int) -> list[int]:
+        return [
+            int(n) for n in np.frombuffer(self._piece(offset, count * self._header.itemsize), self._header)
+        ]
+
+    def _piece(self, start: int, size: int) -> memoryview:
+        if start + size > len(self._binary):
+            raise ValueError("it is cut short")
+        return self._binary[start : start + size]
 
 
-def _array(root: ElementTree.Element, array: ElementTree.Element) -> Array:
-    """One array, (k,) or (k, c)."""
-    if array.attrib["format"] != "binary":
-        raise ValueError(f"{array.attrib['Name']} stands as {array.attrib['format']}, not in line in base64")
-    order = "<" if root.attrib["byte_order"] == "LittleEndian" else ">"
-    header = order + HEADERS[root.attrib.get("header_type", "UInt32")]
-    content = _content((array.text or "").strip(), header, root.attrib.get("compressor"))
-    values = np.frombuffer(content, dtype=order + TYPES[array.attrib["type"]])
-    width = int(array.attrib.get("NumberOfComponents", 1))
-    return values.reshape(-1, width) if width > 1 else values
+def _unpacker(compressor: str | None) -> Callable[[memoryview, int], bytes] | None:
+    """What gives the bytes of a block, of a known length; None where they stand as they are."""
+    if compressor == "vtkZLibDataCompressor":
+        return lambda packed, length: zlib.decompress(packed, bufsize=length)
+    if compressor == "vtkLZ4DataCompressor":
+        if find_spec("lz4") is None:
+            raise ValueError('it is packed by LZ4: pip install "phantomnode[lz4]"')
+        from lz4.block import decompress
 
-
-def _content(text: str, header: str, compressor: str | None) -> bytes:
-    """The bytes of an array: behind their number, or in blocks behind the sizes of these."""
-    size = struct.calcsize(header)
-    if compressor is None:
-        raw = b64decode(text)
-        return raw[size : size + struct.unpack_from(header, raw)[0]]
-    if compressor != "vtkZLibDataCompressor":
-        raise ValueError(f"packed by {compressor}; this reader knows vtkZLibDataCompressor")
-    blocks = struct.unpack_from(header, b64decode(text[:24]))[0]
-    length = -(-(3 + blocks) * size // 3) * 4  # the sizes are a base64 text of their own
-    sizes = struct.unpack(f"{header[0]}{3 + blocks}{header[1]}", b64decode(text[:length]))[3:]
-    packed, ends = b64decode(text[length:]), np.cumsum((0, *sizes))
-    return b"".join(zlib.decompress(packed[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        return lambda packed, length: bytes(decompress(packed, uncompressed_size=length))
+    if compressor is not None:
+        raise ValueError(f"packed by {compressor}; this reader knows zlib and LZ4")
+    return None

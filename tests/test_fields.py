@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import io
 import xml.etree.ElementTree as ET
 
@@ -9,9 +10,12 @@ import pytest
 
 from phantomnode.pipeline import vtu
 from phantomnode.pipeline.clip import ClippedBodies
-from phantomnode.pipeline.fields import Fields, contact_lines
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.fields import Fields, contact_lines, encoding_of_points
 from phantomnode.pipeline.observer import Ending
-from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, Series, cells, vtu_bytes
+from phantomnode.pipeline.schema import FieldFrames
+from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, Encoding, Series, cells, vtu_bytes
+from phantomnode.pipeline.vtu_reader import read_vtu
 
 FLOAT32 = 2e-7
 """Two roundings to float32 (6e-8 each) of numbers of order one."""
@@ -207,19 +211,57 @@ def test_frames_reach_the_disk_at_the_end_and_once_a_second_before(tmp_path, mon
     assert synced[4:] == ["a_00003.vtu", "a.pvd"]
 
 
-def test_small_and_large_arrays_are_read_back(tmp_path):
-    """The large one is compressed, the small one is not; zeros, NaN and noise."""
-    rng = np.random.default_rng(3)
-    for count in (3, vtu.SMALL):
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize("compression", ["zlib", "lz4", "none"])
+def test_arrays_are_read_back(tmp_path, precision, compression):
+    """Zeros, NaN, noise and whole numbers, by VTK, and by meshio where it knows what packs them."""
+    rng, encoding = np.random.default_rng(3), Encoding(precision, compression)
+    for count in (3, 20_000):
         points, value = rng.standard_normal((count, 2)), rng.standard_normal((count, 3))
         value[:, 2], value[0, 0] = 0.0, np.nan
-        grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)))
-        content = vtu_bytes(points, grid, {"value": value, "number": np.arange(count)}, {}, 0.5)
+        grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)), encoding=encoding)
+        data = {"value": value, "number": np.arange(count), "zero": np.zeros(count)}
+        content = vtu_bytes(points, grid, data, {"side": np.array([7])}, 0.5, encoding)
         (tmp_path / "a.vtu").write_bytes(content)
-        mesh = meshio.read(tmp_path / "a.vtu")
-        np.testing.assert_array_equal(mesh.points[:, :2], points.astype(np.float32))
-        np.testing.assert_array_equal(mesh.point_data["value"], value.astype(np.float32))
-        np.testing.assert_array_equal(mesh.point_data["number"], np.arange(count))
         read = pytest.importorskip("pyvista").read(tmp_path / "a.vtu")
-        np.testing.assert_array_equal(read["value"], value.astype(np.float32))
+        np.testing.assert_array_equal(read.points[:, :2], points.astype(precision))
+        assert read["value"].dtype == read["zero"].dtype == np.dtype(precision)
+        np.testing.assert_array_equal(read["value"], value.astype(precision))
+        np.testing.assert_array_equal(read["number"], np.arange(count))
+        np.testing.assert_array_equal(read["side"], [7])
         assert read.field_data["TimeValue"][0] == 0.5
+        own = read_vtu(tmp_path / "a.vtu")
+        for name in data:
+            np.testing.assert_array_equal(own.point_data[name], read[name])
+        np.testing.assert_array_equal(own.points, read.points)
+        assert own.cells(VTK_TRIANGLE).tolist() == [[0, 1, 2]] and own.cell_data["side"] == [7]
+        if compression != "lz4":
+            mesh = meshio.read(tmp_path / "a.vtu")
+            np.testing.assert_array_equal(mesh.points[:, :2], points.astype(precision))
+            np.testing.assert_array_equal(mesh.point_data["value"], value.astype(precision))
+            np.testing.assert_array_equal(mesh.point_data["number"], np.arange(count))
+
+
+@pytest.mark.parametrize("compression", ["zlib", "lz4", "none"])
+def test_damaged_files_are_named(tmp_path, compression):
+    encoding, file = Encoding(compression=compression), tmp_path / "a.vtu"
+    grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)), encoding=encoding)
+    content = vtu_bytes(np.eye(3, 2), grid, {}, {}, encoding=encoding)
+    for wrong in (content[:200], content[: content.index(b"_") + 30], b"", content.replace(b"raw", b"hex")):
+        file.write_bytes(wrong)
+        with pytest.raises(CaseError, match=r"a\.vtu: cannot be read"):
+            read_vtu(file)
+
+
+def test_points_far_from_the_origin_are_kept_in_double_precision(handmade):
+    """1e-4 of the cell, 0.5 m, is what float32 rounds by at 839 m."""
+    for place, precision in ((800.0, "float32"), (1700.0, "float64")):
+        far = dataclasses.replace(handmade, model=handmade.model._replace(x=handmade.model.x + place))
+        assert encoding_of_points(far) == Encoding(precision, "zlib")
+
+
+def test_lz4_is_refused_where_it_is_not_installed(monkeypatch):
+    monkeypatch.setattr("phantomnode.pipeline.schema.find_spec", lambda name: None)
+    with pytest.raises(ValueError, match=r"pip install .phantomnode\[lz4\]"):
+        FieldFrames(count=3, compression="lz4")
+    assert FieldFrames(count=3).compression == "zlib"

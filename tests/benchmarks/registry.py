@@ -10,6 +10,7 @@ from .cutting import cutting, distance
 from .machine import ceilings
 from .measure import Figure, Plan
 from .memory import memory, sparse
+from .output import output
 from .runs import ring_impact, wavy_block
 from .startup import startup
 
@@ -30,6 +31,7 @@ BENCHMARKS: dict[str, Benchmark] = {
         startup,
         ring_impact,
         wavy_block,
+        output,
         batches,
     )
 }
