@@ -72,8 +72,7 @@ class Contact(Table):
     )
     points: SlavePoints = Field(
         default=SlavePoints(),
-        description='{ rule = "gauss" or "newton-cotes", count = n } on each slave segment; next to the tip of a '
-        "crack they stand at the square root of their share of the segment from the tip",
+        description='{ rule = "gauss" or "newton-cotes", count = n } on each slave segment',
     )
     passes: Annotated[int, Field(strict=True, ge=1, le=2)] = Field(
         default=1, description="2: the master's points against the slave as well, each at half the penalty"

@@ -13,11 +13,11 @@ from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import Contact as ContactTable
 from phantomnode.pipeline.contact_tables import Penalty
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.pairing import ContactPass, SlaveSide, master_side, slave_side
+from phantomnode.pipeline.pairing import NOBODY, ContactPass, SlaveSide, master_side, slave_side
 from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.smoothing import hat_filter
-from phantomnode.pipeline.surfaces import Surface, surface
+from phantomnode.pipeline.surfaces import Surface, closed_surface, surface
 from phantomnode.solver.contact import depth_at, nearest_segment
 from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
@@ -118,14 +118,16 @@ def _one_pass(
     """Points of one surface against another; each of two passes, and self contact, at half the penalty."""
     body, own = cut[slave.body], table.slave == table.master
     if isinstance(master, Rigid):
-        segments, cells = master.master_side(), [body.grid.cell_size]
+        segments, across, cells = master.master_side(), NOBODY, [body.grid.cell_size]
     else:
         other = cut[master.body]
         without = slave.segments if slave.body == master.body and not own else np.zeros(0, dtype=np.int64)
-        segments = master_side(master, other, first_node[master.body], without, table.points)
+        closed = closed_surface(other.mesh.segments, master.segments, without)
+        segments = master_side(closed, other, first_node[master.body], table.points)
+        across = closed if len(without) else NOBODY
         cells = [body.grid.cell_size, other.grid.cell_size]
     penalty = _penalty(case, table, cut) / table_share(table)
-    points = slave_side(slave, body, first_node[slave.body], table.points)
+    points = slave_side(slave, body, first_node[slave.body], table.points, across)
     return ContactPass(
         pair=number,
         slave=points,

@@ -32,6 +32,7 @@ from phantomnode.pipeline.vtu import (
     vectors,
     vtu_bytes,
 )
+from phantomnode.solver.contact import reference_length
 
 if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
@@ -232,22 +233,23 @@ def contact_lines(prepared: Prepared, number: int, frame: Frame) -> ContactLines
     contact = prepared.model.contact
     shape = (len(pair.segment_nodes), pair.points_per_segment)
     weight = contact.slave_weight[pair.points].reshape(shape)
+    share = reference_length(contact)[pair.points].reshape(shape)
     depth = np.maximum(frame.gap[pair.points].reshape(shape), 0.0)
-    closed = weight * (depth > 0.0)
+    closed = share * (depth > 0.0)
 
     x = (prepared.model.x + frame.u)[pair.segment_nodes]
     ends = np.stack([np.einsum("si,sik->sk", n, x) for n in (pair.start_shape, pair.end_shape)], axis=1)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     unit = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 0.0)
     force = pair.share * contact.penalty[pair.passes[0]] * np.sum(weight * depth, axis=1)
-    smooth = _smoothed(pair, force, weight.sum(axis=1))
+    smooth = _smoothed(pair, force, share.sum(axis=1))
     rub = np.zeros((len(length), 2))
     if pair.friction > 0.0:
         rub = pair.share * frame.tangential[pair.points].reshape(*shape, 2).sum(axis=1)
 
-    share = closed.sum(axis=1)
-    safe = np.where(share > 0.0, share, 1.0)
-    gap = np.where(share > 0.0, -np.sum(closed * depth, axis=1) / safe, np.nan)
+    touching = closed.sum(axis=1)
+    safe = np.where(touching > 0.0, touching, 1.0)
+    gap = np.where(touching > 0.0, -np.sum(closed * depth, axis=1) / safe, np.nan)
     normal = np.einsum("sg,sgk->sk", closed, frame.normal[pair.points].reshape(*shape, 2))
     size = np.hypot(*normal.T)
     normal = normal / np.where(size > 0.0, size, 1.0)[:, None]

@@ -9,16 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.geometry.bilinear import shape, to_local
-from phantomnode.geometry.doubling import BoundarySegments
+from phantomnode.geometry.doubling import BoundarySegments, CutMesh
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import SlavePoints
-from phantomnode.pipeline.surfaces import Surface, closed_surface
+from phantomnode.pipeline.surfaces import Surface
 from phantomnode.pipeline.traces import balanced, traces
 from phantomnode.solver.model import Contact
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Number = TypeVar("Number", bound=np.generic)
+
+NOBODY = np.zeros(0, dtype=np.int64)
+
+LEAST_JUMP = 0.01
+"""Where the faces of a crack part by less of a jump of their nodes, springs grow no stiffer: those nodes bear less
+than a hundredth of such a point, and the straight pieces of the master miss up to 4e-3 of a jump."""
 
 
 def point_rule(points: SlavePoints) -> tuple[Floats, Floats]:
@@ -50,6 +56,9 @@ class SlaveSide:
         Shape functions at its ends.
     points, point_shape, weight : (g, 4) int64, (g, 4) float64, (g,) float64
         Nodes, shape functions and reference length, m, of the slave points, segment by segment.
+    jump : (g,) float64
+        By what part of a jump of their nodes the faces of a crack part at each point (:func:`jump_between`);
+        1 where slave and master are not joined.
     place : (g, 2) float64
         Number of the curve on which each point lies and the distance along it, m.
     half_way, whole : (s,) float64
@@ -65,6 +74,7 @@ class SlaveSide:
     points: Ints
     point_shape: Floats
     weight: Floats
+    jump: Floats
     place: Floats
     half_way: Floats
     whole: Floats
@@ -121,14 +131,15 @@ class ContactPass:
     exclusion: float
 
 
-def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePoints) -> SlaveSide:
-    """The slave points on the segments of a surface."""
+def slave_side(
+    surface: Surface, body: CutBody, first_node: int, points: SlavePoints, across: Ints = NOBODY
+) -> SlaveSide:
+    """The slave points on the segments of a surface; ``across`` are those of the master if of the same body."""
     mesh = body.mesh
     segments, chosen = mesh.segments, surface.segments
-    _, share = point_rule(points)
-    at = places_on(segments, chosen, points)
+    at, share = point_rule(points)
     parents, ends = segments.element[chosen], segments.ends[chosen]
-    places = (1.0 - at)[:, :, None] * ends[:, None, 0] + at[:, :, None] * ends[:, None, 1]
+    places = (1.0 - at)[:, None] * ends[:, None, 0] + at[:, None] * ends[:, None, 1]
     owners = np.repeat(mesh.elements[parents], points.count, axis=0)
     point_shape = shape(to_local(mesh.xy[owners], places.reshape(-1, 2))).reshape(-1, points.count, 4)
     point_shape = balanced(point_shape, mesh.xy[mesh.elements[parents]], ends, at, share)
@@ -142,6 +153,7 @@ def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePo
         points=owners + first_node,
         point_shape=point_shape.reshape(-1, 4),
         weight=(length[:, None] * share).reshape(-1),
+        jump=jump_between(mesh, chosen, across, point_shape).reshape(-1),
         place=np.column_stack(
             [np.repeat(curve[chosen], points.count), (start[:, None] + length[:, None] * at).reshape(-1)]
         ),
@@ -151,47 +163,43 @@ def slave_side(surface: Surface, body: CutBody, first_node: int, points: SlavePo
     )
 
 
-def places_on(segments: BoundarySegments, chosen: Ints, points: SlavePoints) -> Floats:
-    """(s, n) Places of the slave points on each of the chosen segments, in 0..1.
+def jump_between(mesh: CutMesh, chosen: Ints, across: Ints, point_shape: Floats) -> Floats:
+    """(s, n) By what part J of a jump of their nodes the faces of a crack part at the points of each segment.
 
-    Where a segment ends at the tip of a crack, its points stand at the square root of their share t of its
-    length from there. The jump g of the faces is a straight line from zero at the tip to g1 at the first cell edge,
-    and its springs give the nodes of that edge eps L g1 sum(w t^2) = eps L g1/3, where half the pressure of the
-    segment is theirs to bear: the faces would overlap by up to 1.27 times what the pressure takes there, and the
-    next edges swing about it. Any rule has sum(w sqrt(t)^2) = 1/2, so that a uniform pressure p makes the overlap
-    p/eps at every edge but the tip; the body, which is stiff, can only lessen it. As the tip's nodes are common to
-    both faces, the springs are no stiffer than half a segment of any other is.
+    Beside a tip the two faces have nodes in common, which cannot part: there J is the sum of the shape functions of
+    all others, and falls to zero at the tip. A jump of p/eps of those nodes then makes the pressure p at every
+    point whose spring is eps/J, whatever way the crack runs through its cells, and each node gets its very part of
+    that pressure. With springs of eps the first edge from a tip would get a third of the pressure of the segment,
+    where half of it is its to bear: the faces would overlap by up to 1.27 p/eps there. No node feels more than at
+    any other point: those in common feel nothing, and the others eps w/J N J.
+
+    Parameters
+    ----------
+    mesh : CutMesh
+    chosen, across : (s,), (m,) int64
+        The segments of the points, and those that can be their other face, by their numbers in ``mesh.segments``.
+    point_shape : (s, n, 4) float64
     """
-    at = np.tile(point_rule(points)[0], (len(chosen), 1))
-    at_start, at_end = at_tips(segments)
-    at = np.where(at_start[chosen, None], np.sqrt(at), at)
-    return np.where(at_end[chosen, None], 1.0 - np.sqrt(1.0 - at), at)
+    segments = mesh.segments
+    number = {tuple(ends.ravel().tolist()): k for k, ends in zip(across, segments.ends[across], strict=True)}
+    turned = segments.ends[chosen][:, ::-1].reshape(-1, 4).tolist()
+    other = np.array([number.get(tuple(ends), -1) for ends in turned], dtype=np.int64)
+    mine, theirs = (mesh.elements[segments.element[faces]] for faces in (chosen, other))
+    joined = np.any(mine[:, :, None] == theirs[:, None, :], axis=2) & (other >= 0)[:, None]
+    jump = 1.0 - np.einsum("sni,si->sn", point_shape, joined)
+    return np.where(jump < LEAST_JUMP, LEAST_JUMP, jump)
 
 
-def at_tips(segments: BoundarySegments) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(s,) Whether each segment begins, and ends, at the tip of a crack: the boundary turns back on itself there."""
-    ends, first = segments.ends, np.flatnonzero(segments.following >= 0)
-    second = segments.following[first]
-    back = np.all(ends[first] == ends[second, ::-1], axis=(1, 2)) & (segments.side[first] != 0)
-    at_start, at_end = np.zeros((2, len(ends)), dtype=bool)
-    at_end[first[back]], at_start[second[back]] = True, True
-    return at_start, at_end
-
-
-def master_side(
-    surface: Surface, body: CutBody, first_node: int, without: Ints, points: SlavePoints
-) -> MasterSide:
-    """The segments of a surface, closed around its ends (see :func:`closed_surface`).
+def master_side(closed: Ints, body: CutBody, first_node: int, points: SlavePoints) -> MasterSide:
+    """The segments of a surface, closed around its ends (see :func:`closed_surface`), by their numbers (m,).
 
     They are divided where shape functions are not linear along them (:mod:`phantomnode.pipeline.traces`), for
     slave points by the rule given.
     """
     mesh, segments = body.mesh, body.mesh.segments
-    closed = closed_surface(segments, surface.segments, without)
     number = np.full(len(segments.ends) + 1, -1)  # the last stands for "no neighbour"
     number[closed] = np.arange(len(closed))
-    places, share = places_on(segments, closed, points), point_rule(points)[1]
-    pieces = traces(mesh, closed, number[segments.following[closed]], places, share)
+    pieces = traces(mesh, closed, number[segments.following[closed]], *point_rule(points))
     owner = closed[pieces.segment]
     curve, along, whole = distance_along(segments)
     length = np.hypot(*(segments.ends[owner, 1] - segments.ends[owner, 0]).T)
@@ -256,10 +264,11 @@ def joined_contact(passes: list[ContactPass]) -> Contact:
             for each, offset in zip(passes, master_first, strict=False)
         ]
         links.append(np.concatenate([np.zeros(0, dtype=np.int64), *shifted]))
+    jump = stacked("slave", "jump", np.zeros(0))
     contact = Contact(
         slave_nodes=stacked("slave", "points", no_nodes),
         slave_shape=stacked("slave", "point_shape", no_shape),
-        slave_weight=stacked("slave", "weight", np.zeros(0)),
+        slave_weight=stacked("slave", "weight", np.zeros(0)) / jump,
         slave_first=slave_first.astype(np.int64),
         master_nodes=stacked("master", "nodes", no_nodes),
         start_shape=stacked("master", "start", no_shape),
@@ -271,6 +280,8 @@ def joined_contact(passes: list[ContactPass]) -> Contact:
         reach=numbers("reach"),
         offset=np.zeros(int(slave_first[-1])),
     )
+    if np.any(jump < 1.0):
+        contact = contact._replace(slave_jump=jump)
     if any(each.friction > 0.0 for each in passes):
         contact = contact._replace(
             friction=numbers("friction"), tangential_penalty=numbers("tangential_penalty")

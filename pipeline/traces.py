@@ -75,8 +75,8 @@ def traces(mesh: CutMesh, chosen: Ints, following: Ints, places: Floats, weights
         Numbers in ``mesh.segments``.
     following : (s,) int64
         The one of them that follows each, counted among the chosen ones; -1 at a free end.
-    places, weights : (s, g), (g,) float64
-        Where slave points stand on a segment like each of these, 0 to 1, and their weights, which sum to one.
+    places, weights : (g,) float64
+        Where slave points stand on a segment, 0 to 1, and their weights, which sum to one.
     """
     segments = mesh.segments
     corners = mesh.xy[mesh.elements[segments.element[chosen]]]
@@ -112,12 +112,9 @@ def mean_shape(corners: Floats, ends: Floats) -> Floats:
     return np.asarray(np.einsum("g,sgi->si", 0.5 * WEIGHTS, n.reshape(-1, len(PLACES), 4)))
 
 
-def sums_squares(places: Floats, weights: Floats) -> NDArray[np.bool_]:
-    """(s,) Whether slave points sum shape functions exactly where cells are parallelograms.
-
-    One point a segment does not, and those beside the tip of a crack shall not.
-    """
-    return np.asarray(np.abs(places**2 @ weights - 1.0 / 3.0) < EXACT)
+def sums_squares(places: Floats, weights: Floats) -> bool:
+    """Whether slave points sum shape functions exactly where cells are parallelograms; one alone does not."""
+    return bool(abs(places**2 @ weights - 1.0 / 3.0) < EXACT)
 
 
 def _moved(
@@ -148,7 +145,7 @@ def balanced(point_shape: Floats, corners: Floats, ends: Floats, places: Floats,
         At the places of the slave points.
     corners, ends : (s, 4, 2), (s, 2, 2) float64, metres
         Of the cells and of the segments.
-    places, weights : (s, g), (g,) float64
+    places, weights : (g,) float64
         As for :func:`traces`.
     """
     missed = mean_shape(corners, ends) - np.einsum("g,sgi->si", weights, point_shape)

@@ -220,6 +220,11 @@ def add_contact_forces(
         pair_force[pair, 1] += sign * total_y
 
 
+def reference_length(contact: Contact) -> Floats:
+    """(g,) Reference length of the slave points, m: their weights are stiffer beside the tips of cracks."""
+    return contact.slave_weight * contact.slave_jump if len(contact.slave_jump) else contact.slave_weight
+
+
 def pairs_of(contact: Contact) -> int:
     """Number of pairs that are reported: two passes count as one."""
     return len(contact.penalty) if len(contact.pair) == 0 else int(contact.pair[-1]) + 1

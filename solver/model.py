@@ -103,8 +103,8 @@ class Contact(NamedTuple):
     are numbered in a row: pair k has masters master_first[k] .. master_first[k + 1] and slave points
     slave_first[k] .. slave_first[k + 1].
 
-    slave_nodes (g, 4), slave_shape (g, 4), slave_weight (g,) reference length of each point, m; slave_first
-    (k + 1,); master_nodes (s, 4), start_shape (s, 4), end_shape (s, 4); previous (s,), following (s,)
+    slave_nodes (g, 4), slave_shape (g, 4), slave_weight (g,) reference length of each point, m (over slave_jump);
+    slave_first (k + 1,); master_nodes (s, 4), start_shape (s, 4), end_shape (s, 4); previous (s,), following (s,)
     neighbours along the master surface, -1 at a free end; master_first (k + 1,); penalty (k,), Pa/m; reach
     (k,), m: how deep a point can lie inside and still be found (about one cell); offset (g,), m: the depth of each
     slave point that counts as no penetration (an overlap at the start).
@@ -115,7 +115,9 @@ class Contact(NamedTuple):
     m: in self contact a point does not see the segments within this distance from it along its own curve, and
     less of them up to twice as far (0 elsewhere), with slave_place (g, 2) number of the curve and distance along
     it, m, and master_place (s, 4) number of the curve, distance along it at the middle of the segment, half the
-    segment's length, and length of the curve, m (infinite where it is open), all in the reference configuration.
+    segment's length, and length of the curve, m (infinite where it is open), all in the reference configuration;
+    slave_jump (g,): beside the tip of a crack, where its faces have nodes in common, they part by this part of a
+    jump of the other nodes, and the weight of a point is as much larger than its length.
     """
 
     slave_nodes: Ints
@@ -137,6 +139,7 @@ class Contact(NamedTuple):
     exclusion: Floats = NONE
     slave_place: Floats = NOWHERE
     master_place: Floats = np.zeros((0, 4))
+    slave_jump: Floats = NONE
 
 
 class Loads(NamedTuple):

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phantomnode.solver.contact import reference_length
 from phantomnode.solver.model import Contact, CutElements, Elements, Model
 from phantomnode.solver.surface_loads import support_stiffness
 
@@ -198,20 +199,21 @@ def contact_rates(model: Model) -> Floats:
     A point adds eps w to the stiffness of its slave and of its master side. (a - b)^2 <= (1 + q) a^2 + (1 + 1/q)
     b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. Rows of shape functions
     bound each side. Points over the master sides of a vertex weigh what these are long in the mean, and at most
-    one point more: a Gauss point lies within its share of the segment. (Beside the tip of a crack it does not; but
-    the nodes of the tip are those of both faces, and what is left is the spring of half a segment at its other end.)
-    Weak supports have one side only.
+    one point more: a Gauss point lies within its share of the segment. Beside the tip of a crack the nodes that
+    both faces have in common feel nothing of a point, and the part J of the shape functions that is left squares with
+    the weight w/J to no more than w. Weak supports have one side only.
     """
     contact, n = model.contact, len(model.mass)
     slave, master = np.zeros(n), np.zeros(n)
     penalty, points = _spring_stiffness(contact), np.diff(contact.slave_first)
-    by_point = np.repeat(penalty, points) * contact.slave_weight
+    length = reference_length(contact)
+    by_point = np.repeat(penalty, points) * length
     np.add.at(slave, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
     corners = model.x[contact.master_nodes]
     along = np.einsum("si,sia->sa", contact.end_shape - contact.start_shape, corners)
     segments = np.diff(contact.master_first)
     heaviest = np.zeros(len(penalty))
-    np.maximum.at(heaviest, np.repeat(np.arange(len(penalty)), points), contact.slave_weight)
+    np.maximum.at(heaviest, np.repeat(np.arange(len(penalty)), points), length)
     # Half a segment and half a point at each end: the other half is that of the neighbour, or of no one.
     half = 0.5 * np.repeat(penalty, segments) * np.hypot(*along.T)
     extra = np.repeat(penalty * heaviest, segments)

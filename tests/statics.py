@@ -92,10 +92,13 @@ def stiffness(model):
     return coo_array((np.concatenate(values), entries), shape=(size, size)).tocsr()
 
 
-def linear_equilibrium(model, value=None):
-    """(n, 2) Displacement of small-strain equilibrium; what is not held floats without rigid motion."""
+def linear_equilibrium(model, value=None, springs=0.0):
+    """(n, 2) Displacement of small-strain equilibrium; what is not held floats without rigid motion.
+
+    springs (2n, 2n) is added to the stiffness.
+    """
     free = np.flatnonzero((model.channel < 0).ravel())
-    matrix = stiffness(model)[free][:, free]
+    matrix = (stiffness(model) + springs)[free][:, free]
     weight = np.repeat(model.mass, 2)[free]
     # A shift far below the lowest mode holds rigid bodies and, without a load on them, moves nothing.
     matrix = matrix + diags_array(weight * (1e-9 * np.min(matrix.diagonal() / weight)))

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import meshio
 import numpy as np
 import pytest
+from scipy.sparse import coo_array, diags_array
 from statics import NU, YOUNG, forces, linear_equilibrium, one_body, rate, stiffness
 
 from phantomnode.geometry.bilinear import shape
-from phantomnode.pipeline.contact_tables import SlavePoints
-from phantomnode.pipeline.pairing import at_tips, places_on, point_rule
+from phantomnode.pipeline.pairing import LEAST_JUMP
 from phantomnode.pipeline.run import march
 from phantomnode.pipeline.tally import Tally
+from phantomnode.solver.contact import reference_length
 from phantomnode.solver.timestep import stable_step
 
 STRESS = 1e6
@@ -155,31 +156,43 @@ def test_a_crack_opens_as_in_the_closed_form_in_an_explicit_run(tmp_path):
 SHAPES = {
     "interior": {"polyline": {"points": [[-0.5, 0.013], [0.5, 0.013]]}},
     "on a grid line": {"polyline": {"points": [[-0.5, 0.0], [0.5, 0.0]]}},
-    "edge": {"polyline": {"points": [[-1.2, 0.013], [0.3, 0.013]]}},
+    "ends within edges": {"polyline": {"points": [[-0.53, 0.0], [0.515, 0.0]]}},
+    "edge": {"polyline": {"points": [[-2.2, 0.013], [-1.4, 0.013]]}},
     "slanted": {"polyline": {"points": [[-0.5, -0.1], [0.5, 0.13]]}},
+    "short tip segments": {"polyline": {"points": [[-0.31, -0.30995], [0.31, 0.31005]]}},
     "curved": {"function": "0.1*cos(3*x)", "x": [-0.6, 0.6]},
 }
+"""In a block of 4 m x 2 m on cells of 0.1 m. The faces of one that ends within edges are held together up to the
+nodes before. The one with short tip segments runs beside the diagonals of cells; without relocation its first and
+last segments are 7e-4 cells long."""
+
+UNMOVED = {"short tip segments": {"relocation": {"distance": 0.0}}}
 
 
-def squeezed(geometry, stress, on=("top", "bottom"), **contact):
-    """A block with a crack under the same normal traction on some sides, brought to rest by mass damping."""
+def block(geometry, stress, on, cell=0.1, penalty="auto", points=None, low=(-2.0, -1.0), **tables):
+    """A block with a crack under the same normal traction, Pa or a function of time, on some of its sides."""
     towards = {"top": {"y": 1}, "bottom": {"y": -1}, "left": {"x": -1}, "right": {"x": 1}}
-    prepared = one_body(
-        {"rectangle": {"low": [-1.0, -0.5], "high": [1.0, 0.5]}},
-        {"kind": "cartesian", "cell": 0.05},
-        time={"end": 0.02},
-        damping={"mass": 3000.0},
+    contact = {"slave": "crack.minus", "master": "crack.plus", "penalty": penalty, "points": points or {}}
+    return one_body(
+        {"rectangle": {"low": list(low), "high": [-low[0], -low[1]]}},
+        {"kind": "cartesian", "cell": cell},
         interface={"crack": {"body": "part", "geometry": geometry}},
-        contact={"faces": {"slave": "crack.minus", "master": "crack.plus", **contact}},
+        contact={"faces": contact},
         boundary={
             side: {
                 "on": f"part.{side}",
-                "traction": {
-                    axis: f"{sign * stress}*ramp(t, 0, 0.01)" for axis, sign in towards[side].items()
-                },
+                "traction": {axis: f"{sign}*{stress}" for axis, sign in towards[side].items()},
             }
             for side in on
         },
+        **tables,
+    )
+
+
+def squeezed(geometry, stress, on=("top", "bottom"), **tables):
+    """Such a block, brought to rest by mass damping."""
+    prepared = block(
+        geometry, f"{stress}*ramp(t, 0, 0.02)", on, time={"end": 0.04}, damping={"mass": 1500.0}, **tables
     )
     tally = Tally(prepared)
     ending, _ = march(prepared, [tally])
@@ -188,51 +201,55 @@ def squeezed(geometry, stress, on=("top", "bottom"), **contact):
 
 
 ALL_ROUND = ("top", "bottom", "left", "right")
+PRESSURE = 1e7
 PARTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Where the jump of each segment is looked at: its ends, where the crack crosses cell edges, and between."""
 
 
-def overlaps(prepared, frame, pressure):
+def overlaps(prepared, gap, u):
     """Largest overlap at the slave points, and along the whole crack, in units of pressure/eps."""
-    unit = pressure / prepared.model.contact.penalty[0]
-    along = max(-opening(prepared, frame.u, at)[1].min() for at in PARTS)
-    return frame.gap.max() / unit, along / unit
-
-
-MORE = {"interior": 0.002, "on a grid line": 0.002, "edge": 0.002, "slanted": 0.04, "curved": 0.02}
-"""By how much the overlap is more than pressure/eps somewhere. The straight ones: 0.0006, as the block is only
-twice as long as the crack, whose tips bear less and leave its middle more. The others at the first edges from a tip,
-where the jump bends within a cell that the crack crosses at a slope: 0.032, at the tip on a corner of the grid, and
-0.013; elsewhere 0.004."""
+    unit = PRESSURE / prepared.model.contact.penalty[0]
+    along = max(-opening(prepared, u, at)[1].min() for at in PARTS)
+    return gap.max() / unit, along / unit
 
 
 @pytest.mark.parametrize(
     ("kind", "points"),
     [
         *((kind, {}) for kind in SHAPES),
-        ("interior", {"count": 1}),
-        ("interior", {"count": 4}),
+        ("on a grid line", {"count": 1}),
+        ("slanted", {"count": 4}),
         ("interior", {"rule": "newton-cotes", "count": 3}),
     ],
 )
 def test_the_faces_of_a_closed_crack_do_not_overlap_by_more_than_pressure_over_penalty(kind, points):
     """Under the same pressure from all sides, which any crack bears as pressure on its faces alone.
 
-    Each slave point, and every place along the crack. With the points of the tips' segments where those of all
-    others are (at their Gauss points) the first edge from a tip overlaps by 1.20 to 1.22 of it, and the points
-    beside it by 1.12 to 1.15.
+    At each slave point and at every place along the crack, tips included: 0.996 to 0.998 of p/eps, because the body
+    around the tips, which cannot part, bears a little for the faces. (In a block only twice as long as the crack it
+    leaves their middle more, 1.0006 p on any grid.) At the mouth of the edge crack, about whose tip the body turns,
+    the pressure is 1.0043 p; on grids of a half, a quarter and an eighth with the same penalty 1.0047, 1.0048 and
+    1.0049 p, so that it is the body's. The facets of the curved one: see below. One point a segment does not
+    see how the faces swing about it from edge to edge, 1.0016 here, and is held to what it sees.
     """
-    pressure = 1e7
-    prepared, frame = squeezed(SHAPES[kind], -pressure, ALL_ROUND, points=points)
+    prepared, frame = squeezed(SHAPES[kind], -PRESSURE, ALL_ROUND, points=points, **UNMOVED.get(kind, {}))
     # Newton-Cotes points stand on the two tips, too, which have nothing to open.
-    assert np.count_nonzero(frame.gap <= 0.0) == 2 * (points.get("rule") == "newton-cotes")
-    at_points, along = overlaps(prepared, frame, pressure)
-    assert at_points < 1.0 + MORE[kind] and along < 1.0 + MORE[kind]
-    for at in (0.25, 0.5, 0.75):
-        assert np.all(opening(prepared, frame.u, at)[1] < 0.0)
+    ends = 2 * (points.get("rule") == "newton-cotes") + 4 * (kind == "ends within edges")
+    assert np.count_nonzero(frame.gap <= 0.0) <= ends
+    most = {"edge": 1.0049, "curved": 1.003}.get(kind, 1.0)
+    at_points, along = overlaps(prepared, frame.gap, frame.u)
+    assert 0.99 < at_points <= most and 0.99 < along
+    assert along <= most or points.get("count") == 1
     # Where the tips do not bear, the pressure is that from outside.
     force, length = np.hypot(*frame.pair_force[0]), np.hypot(*chord(prepared))
-    assert force == pytest.approx(pressure * length, rel=0.06)
+    assert force == pytest.approx(PRESSURE * length, rel=0.06)
+
+
+def test_the_short_tip_segments_are_short():
+    prepared = block(SHAPES["short tip segments"], 1.0, (), **UNMOVED["short tip segments"])
+    segments = prepared.bodies[0].mesh.segments
+    lengths = np.hypot(*np.diff(segments.ends[segments.side == 1], axis=1)[:, 0].T) / 0.1
+    assert lengths[[0, -1]] == pytest.approx(np.sqrt(0.5) * 1e-3, rel=1e-3) and lengths[1] > 1.4
 
 
 def chord(prepared):
@@ -241,29 +258,94 @@ def chord(prepared):
     return np.sum(np.diff(segments.ends[segments.side == 1], axis=1), axis=(0, 1))
 
 
+def closed_equilibrium(prepared):
+    """Overlap at the slave points and displacement at small strain, with all springs of the faces closed."""
+    model, contact = prepared.model, prepared.model.contact
+    x = np.einsum("gi,gia->ga", contact.slave_shape, model.x[contact.slave_nodes])
+    a, b = (
+        np.einsum("si,sia->sa", shapes, model.x[contact.master_nodes])
+        for shapes in (contact.start_shape, contact.end_shape)
+    )
+    d = b - a
+    t = np.clip(np.sum((x[:, None] - a) * d, axis=2) / np.sum(d * d, axis=1), 0.0, 1.0)
+    s = np.argmin(np.sum((x[:, None] - a - t[..., None] * d) ** 2, axis=2), axis=1)
+    t = t[np.arange(len(s)), s][:, None]
+    on_master = (1.0 - t) * contact.start_shape[s] + t * contact.end_shape[s]
+    nodes = np.hstack([contact.slave_nodes, contact.master_nodes[s]])
+    into = np.column_stack([-d[s, 1], d[s, 0]]) / np.hypot(*d[s].T)[:, None]
+    parts = np.hstack([contact.slave_shape, -on_master])[:, :, None] * into[:, None]
+    columns = (2 * nodes[:, :, None] + np.arange(2)).ravel()
+    rows = np.repeat(np.arange(len(x)), 16)
+    overlap = coo_array((parts.ravel(), (rows, columns)), shape=(len(x), 2 * len(model.x))).tocsr()
+    springs = contact.penalty[0] * overlap.T @ diags_array(contact.slave_weight) @ overlap
+    u = linear_equilibrium(model, prepared.motion.values(0, 1, 1.0)[0], springs)
+    return overlap @ u.ravel(), u
+
+
+def test_the_facets_of_a_curved_crack_do_neither_on_finer_cells():
+    """By equilibrium at the same penalty: 1.0022, 1.0002 and 0.9993 of p/eps on cells of 0.1, 0.05 and 0.025 m."""
+    found = []
+    for cell in (0.1, 0.05, 0.025):
+        prepared = block(SHAPES["curved"], -PRESSURE, ALL_ROUND, cell, {"value": 1e12})
+        found.append(max(overlaps(prepared, *closed_equilibrium(prepared))))
+    assert found[0] < 1.003 and found[2] < found[1] < found[0] and found[2] <= 1.0
+
+
+def test_no_closed_crack_overlaps_by_more_than_pressure_over_penalty_wherever_it_lies():
+    """24 cracks at random places, in random directions, a quarter along cell edges or diagonals, by equilibrium.
+
+    With the penalty of 5 E/h that is automatic nowhere; with stiffer ones, of up to 100 E/h, by at most 3e-3, next to
+    tips: the change from p/eps to nothing takes less than a cell then, and the pressure swings about p by so much.
+    """
+    rng, worst = np.random.default_rng(1), {True: 0.0, False: 0.0}
+    for number in range(24):
+        middle, angle = rng.uniform(-0.05, 0.05, 2), rng.uniform(0.0, np.pi)
+        if number % 4 == 0:
+            middle, angle = 0.05 * np.round(middle / 0.05), 0.25 * np.pi * rng.integers(4)
+        half = rng.uniform(0.2, 0.42) * np.array([np.cos(angle), np.sin(angle)])
+        geometry = {"polyline": {"points": [list(middle - half), list(middle + half)]}}
+        for automatic in (True, False):
+            stiff = 5.0 if automatic else 10.0 ** rng.uniform(1.0, 2.0)
+            penalty = {"value": stiff * YOUNG / 0.05}
+            prepared = block(geometry, -PRESSURE, ALL_ROUND, 0.05, penalty, low=(-1.0, -1.0))
+            gap, u = closed_equilibrium(prepared)
+            worst[automatic] = max(worst[automatic], *overlaps(prepared, gap, u))
+    assert worst[True] <= 1.0 and worst[False] < 1.005
+
+
+def test_what_slides_overlaps_by_more_only_as_long_as_cells_are_coarse():
+    """Pressed from above alone, the slopes slide, without friction, and facets that slide roughen the pressure.
+
+    The penalty is the same on all grids. The slanted crack is to bear p cos^2 (the sliding of a straight crack adds
+    nothing across it), the crest of the curved one 1.062 p: what its middle bears on the finest grid.
+    """
+    sizes, more = [0.05, 0.025, 0.0125], {"slanted": [], "curved": []}
+    for kind, borne in (("slanted", np.cos(np.arctan(0.23)) ** 2), ("curved", 1.062)):
+        for cell in sizes:
+            penalty = {"value": 1e12}
+            prepared = block(SHAPES[kind], -PRESSURE, ("top", "bottom"), cell, penalty)
+            gap, u = closed_equilibrium(prepared)
+            more[kind].append(overlaps(prepared, gap, u)[1] - borne)
+        middle = -opening(prepared, u)[1][len(opening(prepared, u)[1]) // 2] * 1e12 / PRESSURE
+        assert middle == pytest.approx(borne, rel=5e-3)
+    # Measured: 0.111, 0.066, 0.020 and 0.221, 0.088, 0.029.
+    assert rate(sizes, more["slanted"]) > 1.0 and rate(sizes, more["curved"]) > 1.0
+    assert more["slanted"][-1] < 0.03 and more["curved"][-1] < 0.04
+
+
 @pytest.mark.parametrize("kind", SHAPES)
 def test_the_faces_of_a_crack_pressed_from_above_bear_what_is_across_them(kind):
-    """The slopes of slanted and curved ones slide, without friction, and are no longer under one pressure.
-
-    Straight ones as above. The slanted one bears about p cos^2, and beside its tips, about which it slides, p. The
-    crest of the curved one bears 1.10 p; 1.092 p on cells of a quarter with the same penalty, so that much is
-    the body's. Facets that slide on each other roughen the points: 1.21 p, on those cells 1.10 p.
-    """
-    pressure = 1e7
-    prepared, frame = squeezed(SHAPES[kind], -pressure)
-    weight = prepared.model.contact.slave_weight
-    assert np.all(frame.gap > 0.0)
-    assert np.average(frame.gap, weights=weight) < pressure / prepared.model.contact.penalty[0]
-    at_points, along = overlaps(prepared, frame, pressure)
-    if kind in ("slanted", "curved"):
-        middle = -opening(prepared, frame.u)[1].min() * prepared.model.contact.penalty[0] / pressure
-        assert at_points < {"slanted": 1.05, "curved": 1.22}[kind]
-        assert middle < {"slanted": 1.02, "curved": 1.12}[kind]
-    else:
-        assert at_points < 1.0 + MORE[kind] and along < 1.0 + MORE[kind]
-    # No shear on the faces: the pressure on a slope is less by cos^2, and its vertical part by another cosine.
-    slope = {"slanted": np.cos(np.arctan(0.23)) ** 3, "curved": 0.95}.get(kind, 1.0)
-    assert -frame.pair_force[0, 1] == pytest.approx(pressure * weight.sum() * slope, rel=0.06)
+    """Straight ones as above. On slopes no shear: the force is less by cos^2, its vertical part by another cosine."""
+    prepared, frame = squeezed(SHAPES[kind], -PRESSURE, **UNMOVED.get(kind, {}))
+    length = reference_length(prepared.model.contact)
+    at_points, along = overlaps(prepared, frame.gap, frame.u)
+    if kind in ("interior", "on a grid line", "ends within edges", "edge"):
+        assert max(at_points, along) <= (1.0049 if kind == "edge" else 1.0)
+    assert np.average(frame.gap, weights=length) < PRESSURE / prepared.model.contact.penalty[0]
+    slope = {"slanted": np.cos(np.arctan(0.23)) ** 3, "short tip segments": 0.5**1.5, "curved": 0.95}.get(
+        kind, 1.0
+    )
+    assert -frame.pair_force[0, 1] == pytest.approx(PRESSURE * length.sum() * slope, rel=0.06)
 
 
 THROUGH = {"polyline": {"points": [[-1.2, 0.013], [1.2, 0.1]]}}
@@ -273,43 +355,42 @@ ANGLE = {"polyline": {"points": [[-0.5, 0.013], [0.02, 0.013], [0.02, 0.4]]}}
 
 @pytest.mark.parametrize(
     ("geometry", "tips"),
-    [*((shape, 1 if name == "edge" else 2) for name, shape in SHAPES.items()), (ANGLE, 2), (THROUGH, 0), (CLOSED, 0)],
-)  # fmt: skip
-def test_only_the_segments_at_tips_have_their_points_elsewhere(geometry, tips):
-    """There sum(w t^2) is 1/2, with t from the tip, whatever the rule; not where a curve parts the body or bends."""
-    segments = cracked(geometry).bodies[0].mesh.segments
-    at_start, at_end = at_tips(segments)
-    for side in (1, -1):
-        on = segments.side == side
-        assert np.count_nonzero(at_start & on) + np.count_nonzero(at_end & on) == tips
-    assert not np.any((at_start | at_end) & (segments.side == 0))
-    for rule, count in (("gauss", 1), ("gauss", 2), ("gauss", 7), ("newton-cotes", 3), ("newton-cotes", 10)):
-        points = SlavePoints(rule=rule, count=count)
-        plain, weights = point_rule(points)
-        places = places_on(segments, np.arange(len(segments.ends)), points)
-        np.testing.assert_array_equal(
-            places[~(at_start | at_end)], np.tile(plain, (sum(~(at_start | at_end)), 1))
-        )
-        np.testing.assert_allclose(places[at_start] ** 2 @ weights, 0.5, rtol=1e-13)
-        np.testing.assert_allclose((1.0 - places[at_end]) ** 2 @ weights, 0.5, rtol=1e-13)
-        assert np.all((places >= 0.0) & (places <= 1.0))
+    [
+        *((SHAPES[kind], 2) for kind in ("interior", "slanted", "curved")),
+        (SHAPES["edge"], 1),
+        (ANGLE, 2),
+        (THROUGH, 0),
+        (CLOSED, 0),
+    ],
+)
+def test_only_points_beside_tips_are_stiffer(geometry, tips):
+    """By 1/J, where J is what the nodes that the faces do not have in common add up to at a point."""
+    low = (-2.0, -0.5) if geometry is SHAPES["edge"] else (-1.0, -0.5)
+    prepared = block(geometry, 0.0, (), low=low)
+    contact, segments = prepared.model.contact, prepared.bodies[0].mesh.segments
+    on = segments.side == -1
+    length = 0.5 * np.repeat(np.hypot(*np.diff(segments.ends[on], axis=1)[:, 0].T), 2)
+    np.testing.assert_allclose(reference_length(contact), length, rtol=1e-14)
+    common = set(contact.slave_nodes.ravel()) & set(contact.master_nodes.ravel())
+    apart = ~np.isin(contact.slave_nodes, list(common))
+    expected = np.sum(contact.slave_shape, axis=1, where=apart)
+    stiffer = np.count_nonzero(expected < 1.0 - 1e-12)
+    assert 2 * tips <= stiffer <= 4 * tips  # those of one segment beside each tip, or of two
+    if not tips:
+        assert len(contact.slave_jump) == 0
+        return
+    np.testing.assert_allclose(contact.slave_jump, np.maximum(expected, LEAST_JUMP), rtol=1e-12)
 
 
-def cracked(geometry, **tables):
-    """The block on a coarser grid."""
-    return one_body(
-        {"rectangle": {"low": [-1.0, -0.5], "high": [1.0, 0.5]}},
-        {"kind": "cartesian", "cell": 0.1},
-        interface={"crack": {"body": "part", "geometry": geometry}},
-        **tables,
-    )
-
-
-@pytest.mark.parametrize("kind", ["interior", "curved"])
+@pytest.mark.parametrize("kind", SHAPES)
 def test_the_step_is_safe_with_stiff_springs_all_along_a_crack(kind):
-    """All points closed (an overlap of 1e-9 m to begin with); springs far stiffer than the body: 1.67, 1.86."""
-    contact = {"slave": "crack.minus", "master": "crack.plus", "penalty": {"times_E": 1e6}}
-    model = cracked(SHAPES[kind], contact={"faces": contact}).model
+    """All points closed (an overlap of 1e-9 m to begin with); springs far stiffer than the body.
+
+    At the mouth of an edge crack a whole point more is counted than there can be.
+    """
+    low = (-2.0, -0.4) if kind == "edge" else (-1.0, -0.4)
+    tables = UNMOVED.get(kind, {})
+    model = block(SHAPES[kind], 0.0, (), penalty={"times_E": 1e6}, low=low, **tables).model
     pressed = model.contact._replace(offset=np.full(len(model.contact.slave_weight), -1e-9))
     model = model._replace(contact=pressed)
     whole, step = stiffness(model).toarray(), 1e-10
@@ -320,7 +401,7 @@ def test_the_step_is_safe_with_stiff_springs_all_along_a_crack(kind):
             whole[:, 2 * k + axis] = (forces(model, -u) - forces(model, u)).ravel() / (2.0 * step)
     scale = 1.0 / np.sqrt(np.repeat(model.mass, 2))
     largest = np.abs(np.linalg.eigvals(scale[:, None] * whole * scale)).max()
-    assert 1.0 < 2.0 / np.sqrt(largest) / stable_step(model, safety=1.0).dt < 2.0
+    assert 1.0 < 2.0 / np.sqrt(largest) / stable_step(model, safety=1.0).dt < (2.1 if kind == "edge" else 2.0)
 
 
 @pytest.mark.parametrize("kind", ["interior", "edge", "slanted"])

@@ -16,7 +16,7 @@ GAUSS = point_rule(SlavePoints(rule="gauss", count=2))
 
 
 def pieces_of(mesh, chosen, following, rule=GAUSS):
-    return traces(mesh, chosen, following, np.tile(rule[0], (len(chosen), 1)), rule[1])
+    return traces(mesh, chosen, following, *rule)
 
 
 def block(*points, cell=0.25, relocation=0.0):
@@ -92,7 +92,7 @@ def test_points_on_both_sides_have_the_mean_of_the_shape_functions(rule, relocat
     places = ends[:, :1] + rule[0][:, None] * (ends[:, 1:] - ends[:, :1])
     each = np.repeat(corners, len(rule[0]), axis=0)
     plain = shape(to_local(each, places.reshape(-1, 2))).reshape(-1, len(rule[0]), 4)
-    moved = balanced(plain, corners, ends, np.tile(rule[0], (len(chosen), 1)), rule[1])
+    moved = balanced(plain, corners, ends, *rule)
     cubic = (
         abs(rule[1] @ rule[0] ** 4 - 0.2) > 1e-3
     )  # rules of a higher degree are right to 1e-9 in crooked cells

@@ -130,7 +130,7 @@ def emptied(elements: Any) -> Any:
 
 def without_points(contact: Contact) -> Contact:
     """The contact pairs without slave points."""
-    fields = ("slave_nodes", "slave_shape", "slave_weight", "offset", "slave_place")
+    fields = ("slave_nodes", "slave_shape", "slave_weight", "offset", "slave_place", "slave_jump")
     none = {name: getattr(contact, name)[:0] for name in fields}
     return contact._replace(slave_first=np.zeros_like(contact.slave_first), **none)
 
