@@ -1,4 +1,4 @@
-"""The command line: ``phantomnode run | batch | check | cases | new | report | plot | animate | schema``.
+"""The command line: ``phantomnode run | batch | check | cases | new | report | plot | animate | paraview | schema``.
 
 Everything heavy is imported inside the commands, so that ``--help`` answers at once.
 """
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 import phantomnode
-from phantomnode.pipeline.cli_pictures import animate, plot
+from phantomnode.pipeline.cli_pictures import animate, paraview, plot
 from phantomnode.pipeline.console import DONE, INTERRUPTED, SOME_FAILED, STOPPED, TALK, Talk, guarded
 from phantomnode.pipeline.places import RESULTS, folder_to_resume, results_folder
 
@@ -320,6 +320,7 @@ def report(
 
 app.command(plot)
 app.command(animate)
+app.command(paraview)
 
 
 @app.command

@@ -1,4 +1,4 @@
-"""The commands that draw: ``phantomnode plot | animate``."""
+"""The commands that show results: ``phantomnode plot | animate | paraview``."""
 
 from __future__ import annotations
 
@@ -119,6 +119,43 @@ def animate(
             open_results(folder), what, out, fps=fps, width=width, limits=range_, box=zoom, console=console
         )
         console.print(f"film      {film}", soft_wrap=True, highlight=False, markup=False)
+        return DONE
+
+    return guarded(command, talk)
+
+
+def paraview(
+    folder: Folder,
+    /,
+    *,
+    open_: Annotated[
+        bool, Parameter(name="--open", negative=(), show_default=False, help="Start ParaView with it.")
+    ] = False,
+    talk: Talk = TALK,
+) -> int:
+    """Write in_paraview.py into the folder of a run: a view of it in ParaView, set up.
+
+    It shows the von Mises stress on the deformed bodies and the contact pressure as lines, with ranges that hold for
+    the whole run. For example:
+
+    ```
+    phantomnode paraview results/ring_impact --open
+    paraview --script=results/ring_impact/in_paraview.py
+    pvbatch results/ring_impact/in_paraview.py picture.png 0.0021
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.paraview import open_paraview, write_script
+        from phantomnode.pipeline.results import open_results
+
+        script = write_script(open_results(folder))
+        console.print(f"script    {script}", soft_wrap=True, highlight=False, markup=False)
+        if open_:
+            open_paraview(script)
+        else:
+            line = f"look at   paraview --script={script}"
+            console.print(line, soft_wrap=True, highlight=False, markup=False)
         return DONE
 
     return guarded(command, talk)

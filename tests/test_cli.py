@@ -82,6 +82,7 @@ def test_help_answers_within_a_second_and_shows_every_command() -> None:
         "report",
         "plot",
         "animate",
+        "paraview",
         "schema",
         "--version",
         "Exit codes",
