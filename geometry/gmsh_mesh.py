@@ -88,8 +88,8 @@ def _element_edges(gmsh: Any, dimension: int, entity: int) -> list[list[int]]:
     return edges
 
 
-def quads(gmsh: Any) -> dict[str, Any]:
-    """Nodes and four-node quadrilaterals of a mesh that holds no other faces."""
+def quads(gmsh: Any) -> tuple[Floats, NDArray[np.int64]]:
+    """(n, 2) Nodes and (m, 4) four-node quadrilaterals of a mesh that holds no other faces."""
     if gmsh.model.getEntities(3):
         raise GeometryError("this is a 3D mesh, and a background grid is one in the xy plane (constant z)")
     kinds, _, nodes = gmsh.model.mesh.getElements(2)
@@ -109,4 +109,4 @@ def quads(gmsh: Any) -> dict[str, Any]:
     plane = Plane.through(points)
     if plane is None or plane.frame[2, 2] != 1.0:
         raise GeometryError("this is a 3D mesh, and a background grid is one in the xy plane (constant z)")
-    return {"xy": points[:, :2].tolist(), "quads": number.reshape(-1, 4).tolist()}
+    return points[:, :2], number.reshape(-1, 4)

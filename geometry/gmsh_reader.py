@@ -1,21 +1,23 @@
-"""Files of the gmsh family, read in a child process that cannot harm this one."""
+"""Files of the gmsh family; in the child process of :mod:`phantomnode.geometry.readers`.
+
+gmsh runs scripts, crashes on damaged files and ends the process on a script's ``Exit``. It gives millimetres for STEP
+and IGES (Geometry.OCCTargetUnit = "M" is refused for an IGES file in a fresh process, and OCC's tolerance of 1e-7 is
+finer in millimetres), the numbers of the file for all others.
+"""
 
 from __future__ import annotations
 
-import json
-import os
-import secrets
-import signal
-import subprocess
-import sys
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from phantomnode.geometry import gmsh_cad, gmsh_mesh, gmsh_section
 from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.limits import forbid
 from phantomnode.geometry.loops import assemble, join, nest
 from phantomnode.geometry.planes import Plane
 
@@ -30,9 +32,13 @@ MOST_LISTED = 12
 
 
 def read_curves(
-    content: bytes, suffix: str, factor: float, time_limit: float, *,
-    face: str | int | None = None, section: tuple[str, float] | None = None,
-) -> Geometry:  # fmt: skip
+    content: bytes,
+    suffix: str,
+    factor: float,
+    face: str | int | None,
+    section: tuple[str, float] | None,
+    trusted: bool,
+) -> Geometry:
     """Regions and curves of a file that gmsh reads.
 
     Parameters
@@ -43,24 +49,25 @@ def read_curves(
         Tells gmsh the format, e.g. ".step".
     factor : float
         Metres in one unit of gmsh's coordinates.
-    time_limit : float, s
-    face : str or int, optional
+    face : str or int or None
         Name or number of the flat face to take.
-    section : (str, float), optional
+    section : (str, float) or None
         "x", "y" or "z", and where on that axis (metres) to cut solids.
+    trusted : bool
+        Whether a script may write files and start programs.
 
     Raises
     ------
     GeometryError
         For anything that gmsh, or the geometry of the file, does not allow.
     """
-    at = (section[0], section[1] / factor) if section else None
-    data = run_child({"read": "curves", "face": face, "section": at}, content, suffix, time_limit)
+    with damage_told():
+        gmsh = opened(content, suffix, trusted)
+        data = _found(gmsh, suffix, face, section and (section[0], section[1] / factor))
     if "missed" in data:
         low, high = (factor * end + 0.0 for end in data["missed"])
         raise GeometryError(
-            f"the section {section[0]} = {section[1]:g} m misses the part, "  # type: ignore[index]
-            f"which reaches from {low:.6g} to {high:.6g} m"
+            f"the section misses the part, which reaches from {low:.6g} to {high:.6g} m on its axis"
         )
     if "solid" in data:
         raise GeometryError(_solid(data, factor))
@@ -69,6 +76,56 @@ def read_curves(
     if plane.frame[2, 2] != 1.0 and section is None:
         notes.append(f"the outline lies in {plane.words(factor)}; its x and y are {plane.coordinates()}")
     return _assembled(data, factor, notes)
+
+
+@contextmanager
+def damage_told() -> Iterator[None]:
+    """Say of gmsh's own errors that the file is damaged: what was asked for is not in what it read."""
+    try:
+        yield
+    except Exception as error:
+        if type(error) is not Exception:  # gmsh raises no other
+            raise
+        said = str(error).strip()  # nothing where memory ran out
+        why = f" ({said}): the file is damaged" if said else ": the file is damaged, or needs too much memory"
+        raise GeometryError(f"gmsh cannot read it{why}") from error
+
+
+def opened(content: bytes, suffix: str, trusted: bool = False) -> Any:
+    """The module gmsh, which holds what is in a file."""
+    try:
+        import gmsh
+    except OSError as error:
+        raise GeometryError(
+            f"gmsh cannot be loaded ({error}). It needs system libraries; on Debian and Ubuntu: "
+            f"apt-get install {GMSH_LIBRARIES}"
+        ) from error
+    # gmsh takes a mesh that does not begin with its mark for a script.
+    source = Path("input" + suffix)
+    source.write_bytes(content.removeprefix(b"\xef\xbb\xbf").lstrip())
+    if not trusted:
+        forbid()
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.option.setNumber("General.NumThreads", 1)
+    gmsh.logger.start()
+    with damage_told():
+        gmsh.open(str(source))
+    complaints = [line for line in gmsh.logger.get() if line.startswith("Error")]
+    if complaints:
+        raise GeometryError(f"gmsh cannot read it ({complaints[0]}): the file is damaged")
+    return gmsh
+
+
+def _found(
+    gmsh: Any, suffix: str, face: str | int | None, section: tuple[str, float] | None
+) -> dict[str, Any]:
+    """What is wanted of the model that gmsh holds, or what there is to choose from."""
+    if section is not None:
+        return gmsh_section.section(gmsh, *section)
+    if suffix == ".msh" and gmsh.model.mesh.getNodes()[0].size:
+        return gmsh_mesh.outline(gmsh, face)
+    return gmsh_cad.whole(gmsh) if face is None else gmsh_cad.face(gmsh, face)
 
 
 def _assembled(data: dict[str, Any], factor: float, notes: list[str]) -> Geometry:
@@ -115,69 +172,6 @@ def _solid(data: dict[str, Any], factor: float) -> str:
         ways.append(f'cut a section, section = {{ axis = "{axis}", at = {middle:.6g} }}{through}')
     todo = ", or ".join(ways) or "draw the section in one plane"
     return f"{what}: {todo}" + (f". Flat faces: {', '.join(listed)}{more}" if listed else "")
-
-
-def run_child(request: dict[str, Any], content: bytes, suffix: str, time_limit: float) -> dict[str, Any]:
-    """What :mod:`phantomnode.geometry.gmsh_child` says about a file, in an empty directory of its own."""
-    token = secrets.token_hex(16)
-    with tempfile.TemporaryDirectory(prefix="phantomnode-", ignore_cleanup_errors=True) as folder:
-        source, target = Path(folder, "input" + suffix), Path(folder, "result.json")
-        source.write_bytes(content)
-        seconds = str(int(np.ceil(time_limit)) + 1)
-        status, said = _finish(
-            [json.dumps(request), source.name, target.name, token, seconds], folder, time_limit
-        )
-        text = target.read_text(encoding="utf-8") if target.exists() else ""
-    if not text.endswith(token):
-        raise GeometryError(_what_happened(status, said))
-    result: dict[str, Any] = json.loads(text.removesuffix(token))
-    if "missing" in result:
-        raise GeometryError(
-            f"gmsh cannot be loaded ({result['missing']}). It needs system libraries; on Debian and Ubuntu: "
-            f"apt-get install {GMSH_LIBRARIES}"
-        )
-    if "error" in result:
-        raise GeometryError(result["error"])
-    return result
-
-
-def _finish(arguments: list[str], folder: str, time_limit: float) -> tuple[int, str]:
-    """Run the child to its end or to the time limit: its exit status and the end of what it said."""
-    # -P: nothing in the directory of the file can stand in for a module.
-    command = [sys.executable, "-P", "-m", "phantomnode.geometry.gmsh_child", *arguments]
-    environment = {**os.environ, "HOME": folder, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    process = subprocess.Popen(
-        command, cwd=folder, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE, start_new_session=True,
-    )  # fmt: skip
-    try:
-        said = process.communicate(timeout=time_limit)[1]
-    except subprocess.TimeoutExpired:
-        raise GeometryError(
-            f"reading it took more than {time_limit:g} s (a looping script, a damaged file, or a very large part); "
-            "simplify it or give a larger time_limit"
-        ) from None
-    finally:
-        _kill(process)
-    return process.returncode, said.decode(errors="replace").strip()[-300:]
-
-
-def _kill(process: subprocess.Popen[bytes]) -> None:
-    """End the child, and on POSIX whatever it started."""
-    if process.poll() is None:
-        if os.name == "posix":
-            os.killpg(process.pid, signal.SIGKILL)
-        else:
-            process.kill()
-        process.wait()
-
-
-def _what_happened(status: int, said: str) -> str:
-    """Why a child ended without a result, in words."""
-    if status == 0:
-        return "gmsh ended while reading it without a result (a script that calls Exit?)"
-    reason = signal.Signals(-status).name if status < 0 else f"exit code {status}"
-    return f"gmsh broke down ({reason}): the file is damaged, or needs too much memory. {said}".strip()
 
 
 def _pieces(data: list[dict[str, Any]], factor: float) -> list[Curve]:

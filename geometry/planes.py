@@ -7,10 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from phantomnode.geometry.errors import GeometryError
+
 Floats = NDArray[np.float64]
 
 FLAT = 1e-6
 """Points within this part of their diagonal from a plane lie in it (CAD kernels keep coordinates to 1e-7)."""
+
+LARGEST = 1e12
+"""Coordinates beyond this are damage: no drawing is that many millimetres wide."""
 
 AXES = {"x": ("y", "z"), "y": ("x", "z"), "z": ("x", "y")}
 """The plane coordinates where one axis is held: as the views from the right, the front and above show them."""
@@ -41,7 +46,15 @@ class Plane:
 
     @classmethod
     def through(cls, points: Floats) -> Plane | None:
-        """The plane that (k, 3) points lie in, one of constant z, y or x where that is one; None for none."""
+        """The plane that (k, 3) points lie in, one of constant z, y or x where that is one; None for none.
+
+        Raises
+        ------
+        GeometryError
+            Where they are not finite, or far too large.
+        """
+        if not np.all(np.abs(points) <= LARGEST):
+            raise GeometryError(f"a coordinate is beyond {LARGEST:.0e} or no number: the file is damaged")
         tolerance = FLAT * float(np.linalg.norm(np.ptp(points, axis=0)))
         for axis, values in zip("zyx", points.T[::-1], strict=True):
             if np.ptp(values) <= tolerance:

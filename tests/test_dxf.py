@@ -9,12 +9,12 @@ from typing import Any
 import ezdxf
 import numpy as np
 import pytest
+from cad import read_here as read_geometry
 
 from phantomnode.geometry import dxf, dxf_load
 from phantomnode.geometry.curves import Geometry
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.levelset import LevelSet
-from phantomnode.geometry.readers import read_geometry
 from phantomnode.geometry.splines import spline
 
 EXACT = 1e-12

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -7,11 +8,11 @@ from typing import Any
 import ezdxf
 import numpy as np
 import pytest
-from cad import by_gmsh
+from cad import by_gmsh, read_here
 
-from phantomnode.geometry import gmsh_reader
 from phantomnode.geometry.curves import Curve, Geometry, arc_centre
 from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.gmsh_reader import GMSH_LIBRARIES
 from phantomnode.geometry.readers import read_geometry, read_quads
 from phantomnode.geometry.scripts import cleaned, objection
 
@@ -435,7 +436,7 @@ def test_damaged_drawings_give_geometry_or_a_message_and_never_anything_else(tmp
         )
         (tmp_path / "d.dxf").write_text("\n".join(damaged))
         try:
-            outcomes.add(type(read_geometry(tmp_path / "d.dxf")))
+            outcomes.add(type(read_here(tmp_path / "d.dxf")))
         except GeometryError:
             outcomes.add(GeometryError)
     assert outcomes == {Geometry, GeometryError}
@@ -455,11 +456,11 @@ def test_a_trusted_script_that_exits_is_told_from_a_result(tmp_path: Path) -> No
 
 def test_missing_system_libraries_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "gmsh.py").write_text("raise OSError('libGLU.so.1: cannot open shared object file')")
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
     path = written("s.geo", SCRIPT)(tmp_path)
     with pytest.raises(GeometryError, match="libGLU.so.1.*apt-get install libglu1-mesa"):
         read_geometry(path, "m")
-    assert "libfontconfig1" in gmsh_reader.GMSH_LIBRARIES
+    assert "libfontconfig1" in GMSH_LIBRARIES
 
 
 def test_a_side_file_next_to_the_file_is_not_executed(tmp_path: Path) -> None:

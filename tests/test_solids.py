@@ -138,7 +138,7 @@ Extrude {0, 0, 1} { Surface{1}; }
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ({"section": ("z", 1.0)}, r"z = 1 m misses the part, which reaches from -?[\d.e-]+ to 0.01 m"),
+        ({"section": ("z", 1.0)}, r"the section misses the part, which reaches from -?[\d.e-]+ to 0.01 m"),
         ({"face": "left"}, "no face is 'left' among the 7 faces: take a flat face"),
         ({"face": 99}, "no face is 99"),
         ({"face": 7}, r"face 7 is not flat \(Cylinder\)"),
@@ -198,6 +198,9 @@ def test_planes_across_axes_keep_coordinates_to_the_bit() -> None:
         assert plane is not None and np.array_equal(plane.project(flat), points[:, kept])
         assert plane.words(1e-3) == f"{axis} = 0.0001 m"
     assert Plane.through(points) is None
+    for wrong in (np.nan, np.inf, 1e13):
+        with pytest.raises(GeometryError, match="beyond 1e.12 or no number"):
+            Plane.through(np.vstack([points, [0.0, 0.0, wrong]]))
 
 
 def test_an_oblique_plane_keeps_lengths_and_stands_upright() -> None:

@@ -1,0 +1,96 @@
+"""Reads the content of one file; in the child process of :mod:`phantomnode.geometry.readers`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from phantomnode.geometry.curves import Geometry
+from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.formats import SUFFIXES, WORDS, File, recognised
+from phantomnode.geometry.loops import diagonal
+from phantomnode.geometry.scripts import cleaned, objection
+from phantomnode.geometry.units import chosen, iges_unit, metres, size_note, step_unit
+
+
+def geometry(content: bytes, wanted: dict[str, Any], time_limit: float) -> Geometry:
+    """What :func:`phantomnode.geometry.readers.read_geometry` returns, of the content of a file.
+
+    ``wanted`` holds its keyword arguments.
+    """
+    file = recognised(content)
+    if wanted["unit"] is not None:
+        metres(wanted["unit"])
+    if file.kind == "dxf":
+        found = _dxf(file, wanted, time_limit)
+    elif wanted["layers"] or wanted["without_layers"]:
+        raise GeometryError(
+            f"this is a {WORDS[file.kind]} file; only DXF drawings have layers to choose from"
+        )
+    else:
+        found = _by_gmsh(file, wanted)
+    if not found.regions and not found.curves:
+        raise GeometryError("the file holds no curve of any length")
+    loops = [loop for region in found.regions for loop in region.loops]
+    unlikely = size_note(diagonal([*loops, *found.curves]), found.unit)
+    return replace(found, notes=(unlikely, *found.notes)) if unlikely else found
+
+
+def quads(content: bytes, unit: str | None) -> dict[str, Any]:
+    """Nodes "xy" (metres) and "quads" of a gmsh mesh, as the file numbers them."""
+    from phantomnode.geometry import gmsh_mesh, gmsh_reader
+
+    file = recognised(content)
+    if file.kind != "msh":
+        raise GeometryError(
+            f"this is a {WORDS[file.kind]} file; a background grid is read from a gmsh mesh (.msh)"
+        )
+    factor = metres(chosen(unit, None)[0])
+    with gmsh_reader.damage_told():
+        xy, cells = gmsh_mesh.quads(gmsh_reader.opened(file.content, ".msh"))
+    return {"xy": (xy * factor).tolist(), "quads": cells.tolist()}
+
+
+def _dxf(file: File, wanted: dict[str, Any], time_limit: float) -> Geometry:
+    """A DXF drawing."""
+    if wanted["face"] is not None or wanted["section"] is not None:
+        raise GeometryError("a DXF drawing has no faces or solids; leave face and section out")
+    from phantomnode.geometry.dxf import read_dxf
+
+    return read_dxf(file.content, wanted["unit"], time_limit, wanted["layers"], wanted["without_layers"])
+
+
+def _by_gmsh(file: File, wanted: dict[str, Any]) -> Geometry:
+    """A file of the gmsh family; gmsh gives STEP and IGES in mm, all others in their own numbers."""
+    from phantomnode.geometry.gmsh_reader import read_curves
+
+    content = file.content
+    own = None
+    if file.kind == "geo":
+        content = _vetted(file, wanted["trust_scripts"])
+    elif file.kind == "step":
+        own = step_unit(file.text)
+    elif file.kind == "iges":
+        own = iges_unit(file.text)
+    name, notes = chosen(wanted["unit"], own)
+    factor = metres(name)
+    if file.kind in ("step", "iges"):
+        # gmsh gives these in millimetres, by the unit in the file (millimetres where it has none).
+        factor = 1e-3 if name == own else 1e-3 * metres(name) / metres(own or "mm")
+    trusted = wanted["trust_scripts"]
+    found = read_curves(content, SUFFIXES[file.kind], factor, wanted["face"], wanted["section"], trusted)
+    return replace(found, notes=(*notes, *found.notes), unit=name)
+
+
+def _vetted(file: File, trust_scripts: bool) -> bytes:
+    """The script that gmsh gets to see: as it is (with a last line end) if trusted, else checked and cleaned."""
+    if trust_scripts:
+        return file.content + b"\n"  # gmsh silently loses what follows the first statement without it
+    script = cleaned(file.text)
+    reason = objection(script)
+    if reason is not None:
+        raise GeometryError(
+            f"{reason} is not needed to describe geometry and could run, read or write something; take "
+            "it out, save the geometry as .step, .xao or .msh, or trust the script (--trust-scripts)"
+        )
+    return script.encode("utf-8")
