@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from phantomnode.pipeline.prepare import Body, Prepared
+from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.summary import areas, doubled_cells, step_set_by
 
@@ -17,6 +18,15 @@ if TYPE_CHECKING:
 UNCUT_COST, POINT_COST, CONTACT_COST = 4e-8, 5e-8, 3e-8
 """Wall time of an uncut element, an integration point of a cut one and a slave point in one step, s; of the
 order that one core takes, for an estimate."""
+
+
+CELL_BYTES = {
+    ("zlib", "float32"): 60.0, ("lz4", "float32"): 78.0, ("none", "float32"): 126.0,
+    ("zlib", "float64"): 116.0, ("lz4", "float64"): 140.0, ("none", "float64"): 220.0,
+}  # fmt: skip
+"""Bytes of a frame for each cell that is drawn, measured with tests/benchmarks; LINE_BYTES for a slave segment."""
+
+LINE_BYTES = 60.0
 
 
 def steps_of(prepared: Prepared) -> int:
@@ -41,6 +51,27 @@ def memory(prepared: Prepared) -> int:
     return sum(array.nbytes for array in _arrays(prepared.model)) + 3 * nodes * 9 * 8
 
 
+def step_place(prepared: Prepared) -> Floats:
+    """(2,) The middle of the element that sets the stable step, m."""
+    model, number = prepared.model, prepared.estimate.element
+    uncut = len(model.elements.nodes)
+    nodes = model.elements.nodes[number] if number < uncut else model.cut_elements.nodes[number - uncut]
+    return np.asarray(model.x[nodes].mean(axis=0))
+
+
+def estimated_disk(prepared: Prepared) -> float:
+    """Bytes of the results, most of them frames; good to a fifth where everything moves, less is written before."""
+    output, steps = prepared.case.output, steps_of(prepared)
+    way = output.fields.compression, output.fields.precision
+    drawn = len(prepared.model.elements.nodes) + sum(len(body.mesh.triangles) for body in prepared.bodies)
+    frame = 2000.0 + CELL_BYTES[way] * drawn
+    frame += LINE_BYTES * sum(len(pair.segment_nodes) for pair in prepared.pairs)
+    rows, row = min(output.history.count, steps) + 1, 15.0 * (12 + 16 * len(prepared.bodies))
+    checkpoints = 2.0 * 9 * 8 * len(prepared.model.x)
+    picture = 2e5
+    return (min(output.fields.count, steps) + 1) * frame + rows * row + checkpoints + picture
+
+
 def report(prepared: Prepared) -> RenderableType:
     """The preflight report: bodies, contact pairs, boundaries, the step and what the run will take."""
     from rich.console import Group
@@ -51,7 +82,7 @@ def report(prepared: Prepared) -> RenderableType:
     if prepared.pairs:
         parts.append(
             _table(
-                ("contact", "slave", "master", "segments", "points", "penalty, Pa/m", "friction"),
+                ("contact", "slave", "master", "segments", "points", "penalty, Pa/m", "friction", "gap, m"),
                 _pair_rows(prepared),
             )
         )
@@ -98,11 +129,12 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 
 def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
-    for pair in prepared.pairs:
+    for pair, gap in zip(prepared.pairs, initial_gaps(prepared), strict=True):
         points, penalty = pair.points.stop - pair.points.start, prepared.model.contact.penalty[pair.passes[0]]
         counts = str(len(pair.segment_nodes)), str(points)
         stiffness = f"{penalty * pair.share:.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
-        yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}"
+        apart = "-" if gap is None else f"{gap.distance:.3g}"  # self contact has none
+        yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart
 
 
 def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
@@ -119,11 +151,16 @@ def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 
 def _run_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
-    yield "stable step", f"{prepared.estimate.dt:.4g} s, set by {_escaped(step_set_by(prepared))}"
+    place = ""
+    if prepared.xfem is None:
+        place = " at ({:.4g}, {:.4g}) m".format(*step_place(prepared))
+    yield "stable step", f"{prepared.estimate.dt:.4g} s, set by {_escaped(step_set_by(prepared))}{place}"
     yield "step taken", f"{prepared.dt:.4g} s"
     yield "steps", f"{steps_of(prepared)} to {prepared.case.time.end:g} s"
     yield "time needed", f"about {_duration(estimated_time(prepared))} on one core"
     yield "memory", f"{memory(prepared) / 2**20:.1f} MiB of arrays"
+    frames = min(prepared.case.output.fields.count, steps_of(prepared)) + 1
+    yield "disk", f"about {_bytes(estimated_disk(prepared))}, for {frames} frames and two checkpoints"
 
 
 def _table(columns: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> RenderableType:
@@ -148,6 +185,15 @@ def _arrays(value: Any) -> Iterator[np.ndarray[Any, Any]]:
     elif isinstance(value, tuple):
         for item in value:
             yield from _arrays(item)
+
+
+def _bytes(size: float) -> str:
+    """A size that people read: "3.2 MB"."""
+    for unit in ("kB", "MB", "GB"):
+        size /= 1e3
+        if size < 999.5:
+            return f"{size:.2g} {unit}" if size < 10.0 else f"{size:.0f} {unit}"
+    return f"{size / 1e3:.2g} TB"
 
 
 def _duration(seconds: float) -> str:

@@ -232,8 +232,9 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
     CaseError, GeometryError
         Where the case, a geometry or the folder cannot be used.
     """
+    from phantomnode.pipeline.check_picture import draw_preview
     from phantomnode.pipeline.prepare import prepare
-    from phantomnode.pipeline.preview import draw_preview, preview_vtu
+    from phantomnode.pipeline.preview import preview_vtu
 
     prepared, folder = prepare(case), Path(out)
     stations(prepared)  # a line that meets no body is told now

@@ -1,0 +1,256 @@
+"""The picture of ``check``: what a case became, before its first step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from phantomnode.geometry.curves import Curve
+from phantomnode.pipeline.drawing import (
+    BODY_COLOURS,
+    CUT,
+    HELD,
+    MASTER,
+    PHANTOM,
+    SLAVE,
+    box_of,
+    equal_axes,
+    fill,
+    lines,
+    marks,
+    new_figure,
+    save,
+)
+from phantomnode.pipeline.gaps import ends_of, initial_gaps, master_ends
+from phantomnode.pipeline.mesh_pictures import drawable
+from phantomnode.pipeline.preflight import step_place
+from phantomnode.pipeline.prepare import Body, Floats, Prepared
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+FINE = 40_000
+"""Cells up to this number are drawn one by one; more of them are less than a few pixels each."""
+
+CLOSE = 3.5
+"""Half the width of a close-up, in cells."""
+
+LOAD, SPOT = "#c0392b", "#d6336c"
+HOLDS = {(True, True): "x and y", (True, False): "x", (False, True): "y"}
+
+
+class Spot(NamedTuple):
+    """A place to look at closely: what is there, where, m, and the size of a cell there, m."""
+
+    title: str
+    place: Floats
+    cell: float
+
+
+def draw_preview(prepared: Prepared, path: Path) -> None:
+    """Write a picture of what a case became, also of millions of cells.
+
+    Left, all of it: outlines over grids, cut cells, names, what is held and loaded, contact pairs with their gaps.
+    Right, close up: the smallest fragment, and the element that sets the step, with their real and phantom nodes.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    path : Path
+        The .png file.
+    """
+    spots = list(_spots(prepared))
+    box = box_of(np.concatenate([*_boxes(prepared), *(rigid.xy for rigid in prepared.rigids)]))
+    wide, tall = np.maximum(box[1] - box[0], 1e-300)
+    height = float(np.clip(8.0 * tall / wide, 5.0, 10.0))
+    figure = new_figure(12.5, height + 1.6)
+    grid = figure.add_gridspec(max(len(spots), 1), 2, width_ratios=(2.6, 1.0))
+    axes = figure.add_subplot(grid[:, 0])
+    equal_axes(axes)
+    _draw_bodies(axes, prepared)
+    _draw_contact(axes, prepared)
+    _draw_boundaries(axes, prepared)
+    for number, spot in enumerate(spots):
+        marks(axes, spot.place[None], "*", SPOT, 9.0, "")
+        style: dict[str, Any] = {"textcoords": "offset points", "color": SPOT, "fontweight": "bold"}
+        axes.annotate("ab"[number], _pair(spot.place), (5, 5), **style)
+        panel = figure.add_subplot(grid[number, 1])
+        _draw_close(panel, prepared, spot, f"{'ab'[number]}: {spot.title}")
+    axes.set_title(prepared.case.title or prepared.case.name, fontsize=11)
+    handles, labels = axes.get_legend_handles_labels()
+    shown = [pair for pair in zip(handles, labels, strict=True) if pair[1]]
+    figure.legend(*zip(*shown, strict=True), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
+    save(figure, path)
+
+
+def _spots(prepared: Prepared) -> Iterator[Spot]:
+    """Where the smallest fragment is, and the element that sets the step."""
+    cut = [body for body in prepared.bodies if body.mesh.cut.any()]
+    if cut:
+        body = min(cut, key=lambda each: float(each.mesh.fraction.min()))
+        least = int(np.argmin(body.mesh.fraction))
+        own = body.mesh.triangles[body.mesh.triangle_element == least]
+        place = own.mean(axis=(0, 1)) if len(own) else body.mesh.xy[body.mesh.elements[least]].mean(axis=0)
+        yield Spot(
+            f"smallest fragment, {body.mesh.fraction[least]:.3g} of its cell", place, body.grid.cell_size
+        )
+    if prepared.xfem is None:
+        place = step_place(prepared)
+        nearest = min(prepared.bodies, key=lambda each: _outside(each, place))
+        yield Spot(f"sets the step, {prepared.estimate.dt:.3g} s", place, nearest.grid.cell_size)
+
+
+def _outside(body: Body, place: Floats) -> float:
+    """How far a place is from the box of a body."""
+    low, high = box_of(body.mesh.xy)
+    return float(np.hypot(*np.maximum(np.maximum(low - place, place - high), 0.0)))
+
+
+def _boxes(prepared: Prepared) -> list[Floats]:
+    return [np.asarray(region.box) for body in prepared.bodies for region in body.regions]
+
+
+def _draw_bodies(axes: Axes, prepared: Prepared) -> None:
+    """Outlines, material, cells (or, of very many, the cut ones as dots), names."""
+    fine = sum(body.grid.cell_count for body in prepared.bodies) <= FINE
+    for number, body in enumerate(prepared.bodies):
+        colour, mesh = BODY_COLOURS[number % len(BODY_COLOURS)], body.mesh
+        if fine:
+            lines(axes, body.grid.xy[body.grid.edges], color="0.8", linewidths=0.25, zorder=0.5)
+            uncut = mesh.xy[mesh.elements[~mesh.cut]]
+            fill(axes, uncut, facecolor=colour, edgecolor="white", alpha=0.5)
+            fill(axes, mesh.triangles, facecolor=CUT, edgecolor=CUT)
+        else:
+            _fill_regions(axes, body, colour)
+            middle = mesh.xy[mesh.elements[mesh.cut]].mean(axis=1)
+            axes.plot(*middle.T, ",", color=CUT, zorder=1, rasterized=True)
+        for curve in (loop for region in body.regions for loop in region.loops):
+            axes.plot(*drawable(curve).T, color="black", lw=0.7)
+        for name, curve in body.interfaces:
+            axes.plot(*drawable(curve).T, color="black", lw=0.9, ls="--")
+            _name(axes, drawable(curve)[len(drawable(curve)) // 2], name)
+        _name(axes, _within(body), body.name)
+    for rigid in prepared.rigids:
+        lines(axes, rigid.xy[rigid.segments], color="black", linewidths=2.5)
+        _name(axes, rigid.xy[len(rigid.xy) // 2], f"{rigid.name} (rigid)")
+
+
+def _fill_regions(axes: Axes, body: Body, colour: str) -> None:
+    """The material by its outlines alone."""
+    from matplotlib.patches import PathPatch
+    from matplotlib.path import Path as Outline
+
+    for region in body.regions:
+        loops = [drawable(loop) for loop in region.loops]
+        codes = [np.r_[Outline.MOVETO, np.full(len(loop) - 1, Outline.LINETO)] for loop in loops]
+        axes.add_patch(
+            PathPatch(
+                Outline(np.concatenate(loops), np.concatenate(codes)), facecolor=colour, alpha=0.5, lw=0.0
+            )
+        )
+    axes.autoscale_view()
+
+
+def _within(body: Body) -> Floats:
+    """A place inside the largest region of a body."""
+    region = max(body.regions, key=lambda each: each.area)
+    shell, *holes = (drawable(loop) for loop in region.loops)
+    inner = shapely.Polygon(shell, holes).buffer(0.0).representative_point()
+    return np.array([inner.x, inner.y])
+
+
+def _name(axes: Axes, place: Floats, name: str) -> None:
+    plate = {"boxstyle": "round,pad=0.2", "facecolor": "white", "alpha": 0.75, "linewidth": 0.0}
+    axes.text(*_pair(place), name, fontsize=9, ha="center", va="center", bbox=plate, zorder=6, clip_on=True)
+
+
+def _draw_contact(axes: Axes, prepared: Prepared) -> None:
+    """Slave and master segments of all pairs, and where they are nearest to each other."""
+    for pair, gap in zip(prepared.pairs, initial_gaps(prepared), strict=True):
+        masters = master_ends(prepared, pair.passes[0])
+        lines(
+            axes,
+            masters,
+            color=MASTER,
+            linewidths=1.8,
+            label=f"{pair.name}: master {pair.master} (whole outline)",
+        )
+        slaves = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
+        what = "" if gap is None else f", gap {gap.distance:.3g} m" if gap.distance >= 0.0 else (
+            f", overlap {-gap.distance:.3g} m taken as zero"
+        )  # fmt: skip
+        lines(axes, slaves, color=SLAVE, linewidths=1.8, label=f"{pair.name}: slave {pair.slave}{what}")
+        if gap is not None and gap.distance > 0.0:
+            arrow = {"arrowstyle": "<->", "color": SLAVE, "lw": 1.0}
+            axes.annotate("", _pair(gap.master), _pair(gap.slave), arrowprops=arrow, zorder=5)
+
+
+def _draw_boundaries(axes: Axes, prepared: Prepared) -> None:
+    """The nodes of each boundary, by what it does."""
+    for boundary in prepared.boundaries:
+        holds = HOLDS.get((boundary.channels[0] >= 0, boundary.channels[1] >= 0), "nothing")
+        sign, colour, what = {
+            "held": ({"x and y": "s", "x": ">", "y": "^"}.get(holds, "s"), HELD, f"{holds} held"),
+            "weak": ("D", HELD, f"{holds} held by springs"),
+            "load": ("v", LOAD, "load"),
+        }[boundary.kind]
+        places = prepared.model.x[boundary.nodes]
+        size = 3.0 if len(places) < 400 else 1.5
+        marks(axes, places, sign, colour, size, f"{boundary.name}: {what} ({len(places)} nodes)")
+
+
+def _draw_close(axes: Axes, prepared: Prepared, spot: Spot, title: str) -> None:
+    """The elements about a place, one by one, with their real and phantom nodes."""
+    box = spot.place + CLOSE * spot.cell * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    for number, body in enumerate(prepared.bodies):
+        mesh, colour = body.mesh, BODY_COLOURS[number % len(BODY_COLOURS)]
+        near = _near(mesh.xy, mesh.elements, box)
+        corners = mesh.xy[mesh.elements[near]]
+        lines(axes, np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 2), color="0.75",
+              linewidths=0.5)  # fmt: skip
+        fill(axes, corners[~mesh.cut[near]], facecolor=colour, edgecolor="white", alpha=0.5)
+        own = mesh.triangles[near[mesh.triangle_element]]
+        fill(axes, own, facecolor=CUT, edgecolor=CUT)
+        used = np.unique(mesh.elements[near])
+        real = mesh.real[used]
+        axes.plot(*mesh.xy[used[real]].T, "o", color="black", ms=2.5, label="" if number else "real nodes")
+        axes.plot(
+            *mesh.xy[used[~real]].T,
+            "o",
+            mfc="none",
+            mec=PHANTOM,
+            ms=5.0,
+            label="" if number else "phantom nodes",
+        )
+    for curve in _curves(prepared):
+        axes.plot(*curve.polyline(1e-3 * spot.cell).T, color="black", lw=0.9)
+    axes.plot(*spot.place, "*", color=SPOT, ms=9.0)
+    axes.set(xlim=box[:, 0], ylim=box[:, 1], aspect="equal")
+    axes.tick_params(labelsize=7)
+    axes.legend(loc="best", fontsize=6)
+    axes.set_title(title, fontsize=9)
+
+
+def _near(xy: Floats, elements: NDArray[np.int64], box: Floats) -> NDArray[np.bool_]:
+    """(m,) Elements that reach into a box."""
+    inside = np.column_stack([(xy >= box[0]), (xy <= box[1])])
+    corners = inside[elements]  # (m, 4 nodes, 4 sides): a corner within each side is enough
+    return np.asarray(np.all(np.any(corners, axis=1), axis=1))
+
+
+def _pair(place: Floats) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
+
+
+def _curves(prepared: Prepared) -> Iterator[Curve]:
+    """All outlines and interfaces."""
+    for body in prepared.bodies:
+        for region in body.regions:
+            yield from region.loops
+        for _, curve in body.interfaces:
+            yield curve

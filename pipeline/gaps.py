@@ -1,0 +1,58 @@
+"""How far the surfaces of contact pairs are from each other at the start."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from phantomnode.pipeline.prepare import Floats, Ints, Prepared
+
+
+class Gap(NamedTuple):
+    """How far the slave of a pair is from its master.
+
+    distance, m: between the two, or how deep the deepest slave point is, negative; slave, master: (2,) places
+    where the two are nearest, m.
+    """
+
+    distance: float
+    slave: Floats
+    master: Floats
+
+
+def initial_gaps(prepared: Prepared) -> list[Gap | None]:
+    """The gap of each pair at the start; None for self contact, whose two surfaces are one.
+
+    Overlaps are those of the slave points: what a case takes as its zero (``overlap = "offset"``).
+    """
+    contact, found = prepared.model.contact, list[Gap | None]()
+    for pair in prepared.pairs:
+        if pair.slave == pair.master:
+            found.append(None)
+            continue
+        slave = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
+        places = np.concatenate([slave[:, 0], 0.5 * (slave[:, 0] + slave[:, 1]), slave[:, 1]])
+        masters = shapely.linestrings(master_ends(prepared, pair.passes[0]))
+        (_, number), distance = shapely.STRtree(masters).query_nearest(
+            shapely.points(places), return_distance=True, all_matches=False
+        )
+        nearest = int(np.argmin(distance))
+        way = shapely.shortest_line(shapely.Point(places[nearest]), masters[number[nearest]])
+        depth = float(contact.offset[pair.points].max(initial=0.0))
+        found.append(Gap(-depth if depth > 0.0 else float(distance[nearest]), *shapely.get_coordinates(way)))
+    return found
+
+
+def ends_of(prepared: Prepared, nodes: Ints, start: Floats, end: Floats) -> Floats:
+    """(s, 2, 2) Ends of segments, m, from their nodes and the shape functions at either end."""
+    x = prepared.model.x[nodes]
+    return np.stack([np.einsum("si,sik->sk", shape, x) for shape in (start, end)], axis=1)
+
+
+def master_ends(prepared: Prepared, number: int) -> Floats:
+    """(s, 2, 2) Ends of the master segments of a pass, m."""
+    contact = prepared.model.contact
+    part = slice(contact.master_first[number], contact.master_first[number + 1])
+    return ends_of(prepared, contact.master_nodes[part], contact.start_shape[part], contact.end_shape[part])

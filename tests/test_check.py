@@ -1,0 +1,126 @@
+"""``check``: what it says of a case, and what its picture shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+
+from phantomnode.pipeline import check_picture
+from phantomnode.pipeline.case import case_from_table, load_case
+from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.preflight import _bytes, estimated_disk, step_place, text_report
+from phantomnode.pipeline.prepare import Prepared, prepare
+from phantomnode.pipeline.run import run
+
+
+def two_blocks(gap: float, **contact: Any) -> dict[str, Any]:
+    """A block above a slanted floor under its left corner, so far apart."""
+    box = {"kind": "cartesian", "cell": 0.1}
+    return {
+        "time": {"end": 1e-3},
+        "material": {"soft": {"E": 1e7, "nu": 0.3, "rho": 1000.0}},
+        "body": {
+            "block": {
+                "geometry": {"rectangle": {"low": [0.0, gap], "high": [0.5, 0.5 + gap]}},
+                "grid": box,
+                "material": "soft",
+            },
+            "floor": {
+                "geometry": {"polygon": {"points": [[-1, 0], [-1, -1], [1, -1], [1, -0.5], [0, 0]]}},
+                "grid": box,
+                "material": "soft",
+            },
+        },
+        "contact": {"fall": {"slave": "block.bottom", "master": "floor.outer", **contact}},
+        "boundary": {
+            "base": {"on": "floor.bottom", "displacement": {"y": 0.0}},
+            "push": {"on": "block.top", "pressure": 1e3},
+        },
+    }
+
+
+@pytest.fixture(scope="module")
+def apart() -> Prepared:
+    return prepare(case_from_table(two_blocks(0.03)))
+
+
+def test_the_gap_at_the_start_is_between_the_nearest_places(apart: Prepared) -> None:
+    (gap,) = initial_gaps(apart)
+    assert gap is not None
+    # From the block's corner (0, 0.03) to the floor's, both nodes or relocated: rounding to the lattice.
+    assert gap.distance == pytest.approx(0.03, rel=1e-6)
+    np.testing.assert_allclose(gap.slave, [0.0, 0.03], atol=1e-7)
+    np.testing.assert_allclose(gap.master, [0.0, 0.0], atol=1e-7)
+
+
+def test_an_overlap_that_is_taken_as_zero_is_a_negative_gap() -> None:
+    (gap,) = initial_gaps(prepare(case_from_table(two_blocks(-0.02, overlap="offset"))))
+    # The deepest is the Gauss point next to the corner, square to the slope of 1 : 2 below it.
+    x = 0.1 * (0.5 - 1.0 / np.sqrt(12.0))
+    assert gap is not None and gap.distance == pytest.approx(-(0.02 - 0.5 * x) * 2.0 / np.sqrt(5.0), rel=1e-6)
+
+
+def test_self_contact_has_no_gap() -> None:
+    table = two_blocks(0.03)
+    table["contact"] = {"own": {"slave": "block.outer", "master": "block.outer"}}
+    assert initial_gaps(prepare(case_from_table(table))) == [None]
+
+
+def test_the_report_names_gap_place_and_disk(apart: Prepared) -> None:
+    text = text_report(apart)
+    x, y = step_place(apart)
+    for words in ("gap, m", "0.03", f"({x:.4g}, {y:.4g}) m", "disk", "for 6 frames and two checkpoints"):
+        assert words in " ".join(text.split())
+
+
+def test_the_disk_that_a_run_takes_is_foreseen(tmp_path: Path) -> None:
+    """To a quarter: the docstring promises a fifth of the frames, and a small run is also its pictures."""
+    few = ("body.block.grid.counts=[40,20]", "time.step='auto'", "time.end=0.01", "output.fields.count=40")
+    case = load_case("wavy_block", few)
+    run(case, tmp_path / "out")
+    taken = sum(file.stat().st_size for file in (tmp_path / "out").rglob("*") if file.is_file())
+    assert estimated_disk(prepare(case)) == pytest.approx(taken, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("size", "text"),
+    [(10.0, "0.01 kB"), (3.21e6, "3.2 MB"), (54.6e6, "55 MB"), (1.2e9, "1.2 GB"), (5e12, "5 TB")],
+)
+def test_sizes_are_readable(size: float, text: str) -> None:
+    assert _bytes(size) == text
+
+
+@pytest.mark.parametrize("fine", [0, check_picture.FINE])
+def test_the_picture_names_what_it_shows(apart: Prepared, monkeypatch, fine: int) -> None:
+    """Cells one by one, and (as of millions of cells) without: the same names, far fewer shapes."""
+    kept = []
+    monkeypatch.setattr(check_picture, "FINE", fine)
+    monkeypatch.setattr(check_picture, "save", lambda figure, path: kept.append(figure))
+    check_picture.draw_preview(apart, Path("preview.png"))
+    (figure,) = kept
+    figure.draw_without_rendering()
+    everything, *close = figure.axes
+    assert {text.get_text() for text in everything.texts} >= {"block", "floor", "a", "b"}
+    (legend,) = figure.legends
+    assert {text.get_text() for text in legend.get_texts()} == {
+        "fall: master floor.outer (whole outline)",
+        "fall: slave block.bottom, gap 0.03 m",
+        "base: y held (21 nodes)",
+        "push: load (12 nodes)",
+    }
+    least = min(float(body.mesh.fraction.min()) for body in apart.bodies)
+    titles = [axes.get_title() for axes in close]
+    assert titles == [
+        f"a: smallest fragment, {least:.3g} of its cell",
+        f"b: sets the step, {apart.estimate.dt:.3g} s",
+    ]
+    drawn = sum(
+        len(shape.get_paths()) for shape in everything.collections if isinstance(shape, PolyCollection)
+    )
+    triangles = sum(len(body.mesh.triangles) for body in apart.bodies)
+    uncut = sum(int((~body.mesh.cut).sum()) for body in apart.bodies)
+    assert drawn == (triangles + uncut if fine else 0)
