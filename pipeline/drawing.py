@@ -25,6 +25,9 @@ FORMATS = ("png", "svg", "pdf")
 MANY = 5000
 """Cells above this number become pixels within an SVG or PDF, which would be slow to open otherwise."""
 
+VERY_MANY = 30_000
+"""Cells above this number are painted as pixels from the start, without edges."""
+
 PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 PREFIXED = ("Pa", "m", "s", "N/m", "J/m")
 """Units that take a prefix; metres per second and pure numbers do not."""
@@ -67,7 +70,10 @@ def fill(axes: Axes, polygons: Floats, **style: Any) -> Any:
     """Filled polygons, (m, k, 2); thin edges of their own colour close the seams between them."""
     from matplotlib.collections import PolyCollection
 
-    collection = PolyCollection(list(polygons), **({"linewidths": 0.3} | style))
+    from phantomnode.pipeline.painted import PaintedCells
+
+    kind: Any = PaintedCells if len(polygons) > VERY_MANY else PolyCollection
+    collection = kind(polygons, **({"linewidths": 0.3} | style))
     collection.set_rasterized(len(polygons) > MANY)
     axes.add_collection(collection)
     axes.autoscale_view()

@@ -105,7 +105,7 @@ class FieldPicture:
         for cells, (shapes, part) in zip(
             self._cells, self._shapes(frame, self._what.values(frame)), strict=True
         ):
-            cells.set_verts(list(shapes))
+            cells.set_verts(shapes)
             cells.set_array(part)
         self._rim.set_segments(list(frame.points[frame.outline]))
         self._axes.set_title(self._heading(frame), fontsize=10)

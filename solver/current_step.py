@@ -99,9 +99,7 @@ def _points(lists: CutElements, frequency2: Floats, contact2: Floats, viscosity:
     g = np.einsum("pia,pib->pab", lists.gradient, lists.gradient)
     metric = np.ascontiguousarray(np.column_stack([g[:, 0, 0], g[:, 1, 1], g[:, 0, 1]]))
     moduli = lists.lame[owner], lists.shear[owner]
-    start = np.array(
-        [tangent_eigenvalue(0.0, 0.0, 0.0, 0.0, *of, *row) for *of, row in zip(*moduli, metric, strict=True)]
-    )
+    start = undeformed_eigenvalues(*moduli, metric)
     longest = 0.5 * (metric[:, 0] + metric[:, 1]) + np.hypot(
         0.5 * (metric[:, 0] - metric[:, 1]), metric[:, 2]
     )
@@ -110,6 +108,16 @@ def _points(lists: CutElements, frequency2: Floats, contact2: Floats, viscosity:
         lists.nodes, lists.first, lists.gradient, lists.lame, lists.shear, metric, start, bound / start,
         np.ascontiguousarray(frequency2), np.ascontiguousarray(contact2), np.ascontiguousarray(viscosity),
     )  # fmt: skip
+
+
+@kernel
+def undeformed_eigenvalues(lame: Floats, shear: Floats, metric: Floats) -> Floats:
+    """(p,) Of :func:`tangent_eigenvalue` without displacement, Pa/m^2; metric (p, 3)."""
+    found = np.empty(len(lame))
+    for p in range(len(lame)):
+        g11, g22, g12 = metric[p, 0], metric[p, 1], metric[p, 2]
+        found[p] = tangent_eigenvalue(0.0, 0.0, 0.0, 0.0, lame[p], shear[p], g11, g22, g12)
+    return found
 
 
 @kernel

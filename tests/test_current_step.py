@@ -15,6 +15,7 @@ from phantomnode.solver.current_step import (
     principal_tangent,
     step_rate,
     tangent_eigenvalue,
+    undeformed_eigenvalues,
 )
 from phantomnode.solver.hencky import first_piola
 from phantomnode.solver.timestep import stable_step
@@ -107,6 +108,13 @@ def test_tangent_eigenvalue_agrees_with_the_numpy_twin(kind):
     for metric in ((1.0, 1.0, 0.0), (3.0, 1.0, 0.7)):
         found = tangent_eigenvalue(*h, LAME, SHEAR, *metric)
         assert found == pytest.approx(twin_eigenvalue(h, metric), rel=1e-13)
+
+
+@pytest.mark.twin("current_step.undeformed_eigenvalues")
+def test_eigenvalues_without_displacement_agree_with_the_numpy_twin():
+    metric = np.array([(1.0, 1.0, 0.0), (3.0, 1.0, 0.7)])
+    found = undeformed_eigenvalues(np.full(2, LAME), np.full(2, SHEAR), metric)
+    np.testing.assert_allclose(found, [twin_eigenvalue(np.zeros(4), row) for row in metric], rtol=1e-13)
 
 
 @pytest.mark.twin("current_step.largest_growth", "current_step.step_rate")
