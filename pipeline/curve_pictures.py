@@ -60,17 +60,25 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
         )
     axes.set_xlim(touched_range(x, np.insert(np.max([*raw, *smooth], axis=0)[order], breaks, 0.0)))
     axes.set_ylim(bottom=0.0)
-    from_where = " from ({:.4g}, {:.4g}) m".format(*along.start)
-    axes.set_xlabel(f"arc length along the undeformed surface{from_where}, {arc_unit}")
+    axes.set_xlabel(f"arc length along the undeformed surface from {start_of(along)}, {arc_unit}")
     axes.set_ylabel(f"contact pressure, {unit}")
-    slave = results.table["contact"][pair]["slave"]
-    axes.set_title(
-        f"{results.title}: {pair} on {slave}\nline: through the hat filter, pale: of each segment",
-        fontsize=10,
-    )
+    explained = "line: through the hat filter, pale: of each segment"
+    axes.set_title(f"{results.title}: {pair} on {surfaces_of(results, pair)}\n{explained}", fontsize=10)
     axes.legend(frameon=False, fontsize=9)
     axes.grid(alpha=0.3)
     return figure
+
+
+def surfaces_of(results: Results, pair: str) -> str:
+    """Which surfaces of a pair have a pressure: in two passes both."""
+    table = results.table["contact"][pair]
+    return f"{table['slave']} and {table['master']}" if table.get("passes") == 2 else str(table["slave"])
+
+
+def start_of(along: Surface) -> str:
+    """Where the arc length begins, without what is only rounding: "(0.5, 1.32) m"."""
+    place = np.where(np.abs(along.start) > 1e-9 * along.length, along.start, 0.0)
+    return "({:.4g}, {:.4g}) m".format(*place)
 
 
 def unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.int64]]:

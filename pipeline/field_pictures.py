@@ -20,6 +20,8 @@ OUTLIERS = 0.002
 """The colours span all but this share of the cells, so that single cells at corners do not pale the others."""
 MARGIN = 0.05
 """Of the size of the bodies, about them."""
+FAR = 0.25
+"""Of the size of the bodies: obstacles are shown so far about them, however long they are."""
 MAPS = {"magnitude": "turbo", "signed": "RdBu_r", "ratio": "RdBu_r"}
 
 
@@ -43,8 +45,16 @@ def limits_of(values: Floats, what: Quantity) -> Limits:
 def view_box(*frames: FieldsFrame) -> Floats:
     """(2, 2) A box that holds the bodies as they were and as they are in some frames, with a margin."""
     box = box_of(np.concatenate([points for f in frames for points in (f.reference, f.points)]))
+    box = with_obstacles(box, np.concatenate([frame.obstacles.reshape(-1, 2) for frame in frames]))
     space = MARGIN * float(np.max(box[1] - box[0]))
     return np.asarray(box + np.array([[-space], [space]]))
+
+
+def with_obstacles(box: Floats, obstacles: Floats) -> Floats:
+    """A (2, 2) box about bodies that holds the (n, 2) points of obstacles too, as far as these are not far off."""
+    space = FAR * float(np.max(box[1] - box[0]))
+    near = np.clip(obstacles, box[0] - space, box[1] + space)
+    return box_of(np.concatenate([box, near]))
 
 
 class FieldPicture:
@@ -94,6 +104,7 @@ class FieldPicture:
         if outlines:
             lines(axes, frame.reference[frame.outline], color="0.65", linewidths=0.6, linestyles="--")
         self._rim = lines(axes, frame.points[frame.outline], color="black", linewidths=0.6)
+        self._obstacles = lines(axes, frame.obstacles, color="0.35", linewidths=1.8)
         label = f"{self._what.label}, {unit}" if unit else self._what.label
         self.figure.colorbar(self._cells[0], ax=axes, label=label, shrink=0.8, extend=_extend(values, limits))
         axes.set(xlim=box[:, 0], ylim=box[:, 1])
@@ -108,6 +119,7 @@ class FieldPicture:
             cells.set_verts(shapes)
             cells.set_array(part)
         self._rim.set_segments(list(frame.points[frame.outline]))
+        self._obstacles.set_segments(list(frame.obstacles))
         self._axes.set_title(self._heading(frame), fontsize=10)
 
     def _shapes(self, frame: FieldsFrame, values: Floats) -> list[tuple[Floats, Floats]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -39,6 +39,8 @@ class FieldsFrame:
         ``displacement``, m, and ``velocity``, m/s.
     cell_data : dict of str to (q + t,) or (q + t, k) arrays
         As in fields.pvd: ``stress``, ``von_mises``, ``hencky_strain``, ``J``, ``body``, ``side``, ``fraction``.
+    obstacles : (r, 2, 2) float64, m
+        Start and end of the segments of rigid obstacles, now.
     """
 
     time: float
@@ -47,6 +49,7 @@ class FieldsFrame:
     triangles: Ints
     point_data: Mapping[str, Array]
     cell_data: Mapping[str, Array]
+    obstacles: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     @classmethod
     def read(cls, path: Path, time: float) -> FieldsFrame:

@@ -8,7 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.curve_pictures import histories_of, history_panels, touched_range, unrolled
+from phantomnode.pipeline.curve_pictures import (
+    histories_of,
+    history_panels,
+    start_of,
+    surfaces_of,
+    touched_range,
+    unrolled,
+)
 from phantomnode.pipeline.drawing import readable
 from phantomnode.pipeline.packing import packed
 from phantomnode.pipeline.results import Results
@@ -54,16 +61,14 @@ def pressure_charts(results: Results, times: Sequence[float]) -> list[dict[str, 
         factor, unit = readable(smooth, "Pa")
         arc_factor, arc_unit = readable(along.length, "m")
         x = along.arc * arc_factor
-        slave = results.table["contact"][pair]["slave"]
         charts.append(
             {
-                "title": f"Contact pressure of {pair} along {slave}",
+                "title": f"Contact pressure of {pair} along {surfaces_of(results, pair)}",
                 "x": packed(x.astype(np.float32)),
                 "xRange": touched_range(x, smooth[:, order].max(axis=0)),
                 "xLabel": f"arc length, {arc_unit}",
                 "yLabel": unit,
-                "note": "Through the hat filter, on the undeformed surface; the arc length begins at "
-                "({:.4g}, {:.4g}) m.".format(*along.start),
+                "note": f"Through the hat filter, on the undeformed surface, from {start_of(along)} on.",
                 "largest": float(smooth.max() * factor),
                 "frames": packed((smooth[:, order] * factor).astype(np.float32)),
             }

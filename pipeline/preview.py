@@ -45,7 +45,10 @@ def frame_of_state(prepared: Prepared, frame: Frame) -> FieldsFrame:
     }
     points = clipped.interpolate(prepared.model.x) + u
     vectors_of = {"displacement": vectors(u), "velocity": vectors(clipped.interpolate(frame.v))}
-    return FieldsFrame(frame.time, points, clipped.quads, clipped.triangles, vectors_of, cell_data)
+    now = prepared.model.x + frame.u
+    rigid = [now[obstacle.nodes][obstacle.segments] for obstacle in prepared.rigids]
+    obstacles = np.concatenate([np.zeros((0, 2, 2)), *rigid])
+    return FieldsFrame(frame.time, points, clipped.quads, clipped.triangles, vectors_of, cell_data, obstacles)
 
 
 def draw_result(prepared: Prepared, frame: Frame, path: Path, quantity: str = "von_mises") -> None:

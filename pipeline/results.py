@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -217,11 +218,15 @@ class Results:
             Where the time or the file is at fault.
         """
         when, file = self._frames[self.nearest(time)]
-        return FieldsFrame.read(file, when)
+        frame = FieldsFrame.read(file, when)
+        if not self.table.get("rigid"):
+            return frame
+        contact = self.contact(when)
+        return replace(frame, obstacles=contact.ends[contact.pair < 0])
 
     def frames(self) -> Iterator[FieldsFrame]:
         """All frames, one after the other."""
-        return (FieldsFrame.read(file, time) for time, file in self._frames)
+        return (self.frame(float(time)) for time in self.times)
 
     def contact(self, time: Time = "end") -> ContactFrame:
         """The contact surfaces in the frame nearest to a time.

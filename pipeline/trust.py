@@ -51,8 +51,9 @@ def _end(figures: dict[str, Any]) -> Finding:
     when = moment(figures["end_time"])
     if figures["status"] == "done":
         return Finding(True, "End", f"The run came to its end at {when}, after {figures['steps']} steps.")
-    text = f"The run was {figures['status']} at {when}: {figures['reason']}. {figures['advice']}"
-    return Finding(False, "End", text.strip())
+    advice = figures["advice"]
+    text = f"The run was {figures['status']} at {when}: {figures['reason']}."
+    return Finding(False, "End", f"{text} To do: {advice}." if advice else text)
 
 
 TOLD: dict[str, tuple[str, Callable[[float, float], str]]] = {

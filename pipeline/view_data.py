@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.drawing import readable
-from phantomnode.pipeline.field_pictures import MAPS, limits_of
+from phantomnode.pipeline.drawing import box_of, readable
+from phantomnode.pipeline.field_pictures import MAPS, limits_of, with_obstacles
 from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.packing import packed, quantised
 from phantomnode.pipeline.quantities import QUANTITIES
@@ -84,9 +84,11 @@ def view_data(results: Results) -> dict[str, Any] | None:
         return None
     shown = sorted({*range(0, len(results.times), choice.stride), len(results.times) - 1})
     box, spans = _extent(results, shown, choice.fields)
-    points, values = [], {name: list[NDArray[np.uint16]]() for name in choice.fields}
+    points, obstacles = list[NDArray[np.uint16]](), list[Floats]()
+    values = {name: list[NDArray[np.uint16]]() for name in choice.fields}
     for frame in _frames(results, shown):
         points.append(quantised(frame.points, box[0], box[1]))
+        obstacles.append(frame.obstacles)
         for name, parts in values.items():
             parts.append(quantised(frame.values(name), *spans[name].range))
     return {
@@ -96,6 +98,7 @@ def view_data(results: Results) -> dict[str, Any] | None:
         "start": int(np.argmin(np.abs(np.array(shown) - results.nearest("peak")))),
         "box": box.tolist(),
         "points": packed(np.stack(points)),
+        "obstacles": packed(np.stack(obstacles).astype(np.float32)) if len(first.obstacles) else None,
         "reference": packed(first.reference.astype(np.float32)),
         "quads": packed(first.quads.astype(np.uint32)),
         "triangles": packed(first.triangles.astype(np.uint32)),
@@ -122,7 +125,8 @@ def _extent(results: Results, shown: list[int], fields: tuple[str, ...]) -> tupl
     ranges = {name: list[tuple[float, float]]() for name in fields}
     limits = {name: list[tuple[float, float]]() for name in fields}
     for frame in _frames(results, shown):
-        low, high = np.minimum(low, frame.points.min(axis=0)), np.maximum(high, frame.points.max(axis=0))
+        now = with_obstacles(box_of(frame.points), frame.obstacles.reshape(-1, 2))
+        low, high = np.minimum(low, now[0]), np.maximum(high, now[1])
         for name in fields:
             values = frame.values(name)
             ranges[name].append((float(values.min()), float(values.max())))

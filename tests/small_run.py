@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.run import run
 
-TABLE = {
+TABLE: dict[str, Any] = {
     "title": "A <small> disc & a floor",
     "time": {"end": 1.2e-3},
     "material": {"rubber": {"E": 50e6, "nu": 0.45, "rho": 1100.0}},
@@ -30,8 +31,8 @@ TABLE = {
 }
 
 
-def small_run(folder: Path) -> Path:
-    """Run it into a folder."""
-    summary = run(case_from_table(TABLE, folder.parent, "small"), folder)
+def small_run(folder: Path, table: dict[str, Any] = TABLE) -> Path:
+    """Run it, or a case like it, into a folder."""
+    summary = run(case_from_table(table, folder.parent, "small"), folder)
     assert summary.status == "done"
     return folder

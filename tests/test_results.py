@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from small_run import small_run
+from small_run import TABLE, small_run
 
 from phantomnode import open_results
 from phantomnode.pipeline.cli import app
@@ -139,6 +139,37 @@ class TestArrays:
         assert "A &lt;small&gt; disc &amp; a floor" in page
         assert "energy error" in page and "data:image/png;base64," in page
         assert "small" in repr(results)
+
+
+@pytest.fixture(scope="module")
+def onto_a_plane(tmp_path_factory):
+    """The disc falls on a rigid plane that is far longer than it."""
+    table = {key: value for key, value in TABLE.items() if key != "boundary"}
+    table["body"] = {"disc": TABLE["body"]["disc"]}
+    table["rigid"] = {
+        "plane": {"geometry": {"polyline": {"points": [[-5.0, 0.0], [5.0, 0.0]]}}, "side": "right"}
+    }
+    table["contact"] = {"landing": {"slave": "disc.outer", "master": "plane"}}
+    return open_results(small_run(tmp_path_factory.mktemp("rigid") / "plane", table))
+
+
+class TestObstacles:
+    def test_they_are_in_the_frames_and_in_no_pair(self, onto_a_plane):
+        frame = onto_a_plane.frame("peak")
+        places = frame.obstacles.reshape(-1, 2)
+        np.testing.assert_allclose([places.min(axis=0), places.max(axis=0)], [[-5.0, 0.0], [5.0, 0.0]])
+        assert len(onto_a_plane.frame("peak").values("J")) == len(frame.cell("body"))
+        assert onto_a_plane.surface("landing").length == pytest.approx(2.0 * np.pi * 0.02, rel=5e-3)
+
+    def test_a_picture_shows_them_and_still_the_bodies(self, onto_a_plane):
+        axes = onto_a_plane.plot("von_mises").axes[0]
+        (low, high), (bottom, _) = axes.get_xlim(), axes.get_ylim()
+        assert -0.05 < low < -0.02 and 0.02 < high < 0.05 and bottom < 0.0
+        assert any(np.ptp(line[:, 0]) > 9.0 for c in axes.collections for line in segments_of(c))
+
+
+def segments_of(collection):
+    return collection.get_segments() if hasattr(collection, "get_segments") else []
 
 
 class TestPictures:

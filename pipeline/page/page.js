@@ -80,6 +80,7 @@
       view.data = data;
       view.place = place;
       for (const name of ["points", "reference", "quads", "triangles", "outline"]) view[name] = await unpack(data[name]);
+      view.rigid = data.obstacles ? await unpack(data.obstacles) : null;
       view.values = await Promise.all(data.fields.map((field) => unpack(field.values)));
       view.count = view.reference.length / 2;
       view.cells = view.quads.length / 4 + view.triangles.length / 3;
@@ -117,6 +118,7 @@
       this.bodies.data.getCellData().setScalars(this.scalars);
       this.before = this.add(null, View.lines(this.outline), { colour: [0.65, 0.65, 0.65], depth: -1e-6 });
       this.rim = this.add(null, View.lines(this.outline), { colour: [0, 0, 0], depth: 1e-6 });
+      if (this.rigid) this.addObstacles();
       const still = new Float32Array(3 * this.count);
       this.spread(this.reference, still, this.before.depth);
       this.move(this.before, still);
@@ -144,6 +146,24 @@
       if (colour) actor.getProperty().setColor(...colour);
       this.renderer.addActor(actor);
       return { data, actor, depth: depth * this.size() };
+    }
+
+    addObstacles() {
+      this.rigidCount = this.rigid.length / 4 / this.data.times.length;
+      const ends = Uint32Array.from({ length: 2 * this.rigidCount }, (_, k) => k);
+      this.obstacles = this.add(null, View.lines(ends), { colour: [0.35, 0.35, 0.35], depth: 1e-6 });
+      this.obstacles.actor.getProperty().setLineWidth(3);
+    }
+
+    showObstacles(frame) {
+      const points = 2 * this.rigidCount;
+      const xyz = new Float32Array(3 * points);
+      for (let k = 0; k < points; k++) {
+        xyz[3 * k] = this.rigid[2 * (frame * points + k)];
+        xyz[3 * k + 1] = this.rigid[2 * (frame * points + k) + 1];
+        xyz[3 * k + 2] = this.obstacles.depth;
+      }
+      this.move(this.obstacles, xyz);
     }
 
     size() {
@@ -232,6 +252,7 @@
       this.spread(flat, rim, this.rim.depth);
       this.move(this.bodies, body);
       this.move(this.rim, rim);
+      if (this.rigid) this.showObstacles(frame);
       this.scalars.setData(this.shown);
       this.scalars.modified();
       this.window.render();
