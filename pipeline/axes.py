@@ -109,6 +109,9 @@ class Axis(Table):
     values: tuple[Any, ...] | None = Field(
         default=None, min_length=1, description="the values, as in the case"
     )
+    names: tuple[str, ...] | None = Field(
+        default=None, description="what each of the values is called in folders, tables and pictures"
+    )
     linspace: Linspace | None = Field(default=None, description="{ first, last, count }")
     logspace: Logspace | None = Field(default=None, description="{ first, last, count }: equal ratios")
     range: Range | None = Field(default=None, description="{ first, last, step }, the last included")
@@ -127,6 +130,8 @@ class Axis(Table):
             raise ValueError("keys: one of them stands twice")
         if kind == "values" and self.integer:
             raise ValueError("integer is for computed values; write whole numbers")
+        if self.names is not None and len(self.names) != len(self.values or ()):
+            raise ValueError(f"names needs a name for each of values = [...], not {len(self.names)}")
         return self
 
     @property

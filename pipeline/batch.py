@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from phantomnode.pipeline.batch_plots import draw_plots
 from phantomnode.pipeline.batch_progress import progress_of
-from phantomnode.pipeline.case import resolved_toml
+from phantomnode.pipeline.case import resolved_toml, toml_of
 from phantomnode.pipeline.durations import every_option
 from phantomnode.pipeline.engine import GRACE, Crew, client_of, crew, outcomes
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.figures import draw_figures
+from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.ledger import Ledger
 from phantomnode.pipeline.one_case import (
     DONE,
@@ -36,7 +38,7 @@ from phantomnode.pipeline.one_case import (
 )
 from phantomnode.pipeline.one_case import LOCK as CASE_LOCK
 from phantomnode.pipeline.stopping import FINISHING, Stopping, wall_limit_from
-from phantomnode.pipeline.sweep import Study, load_study
+from phantomnode.pipeline.sweep import COPY, Study, load_study
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -125,6 +127,7 @@ def run_batch(
         places = [place for place, outcome in enumerate(ledger.outcomes) if outcome.status in again]
         orders = _orders(ledger, places, folder, hands.threads, command, checkpoint_every)
         ledger.write(folder)
+        write_atomically(folder / COPY, toml_of(study.copy()))
         reason = ""
         try:
             if orders:
@@ -135,7 +138,7 @@ def run_batch(
         finally:
             ledger.look_again(folder)
             ledger.write(folder)
-        pictures = draw_plots(ledger, folder)
+        pictures = [*draw_plots(ledger, folder), *draw_figures(folder)]
     if console is not None:
         _tell(ledger, folder, pictures, console)
         if reason:

@@ -106,7 +106,7 @@ def variants(case: Case) -> dict[str, Case]:
     CaseError
         With everything that is wrong with a variant.
     """
-    base = case.model_dump(mode="json", exclude_none=True, exclude={"variant"})
+    base = case.model_dump(mode="json", exclude_none=True, exclude={"variant", "figure"})
     found = {}
     for name, changes in case.variant.items():
         try:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.one_case import DONE
 from phantomnode.pipeline.outputs import CASE_COLUMNS, SCALARS, known_outputs, output_of
-from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render
+from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render, titled
 from phantomnode.pipeline.results import open_results
 
 PAGE = "report.html"
@@ -82,7 +82,7 @@ def compared_runs(folders: dict[str, Path]) -> list[Compared]:
     return runs
 
 
-def cases_page(title: str, cases: Sequence[Compared], home: Path, profiles: Sequence[Path] = ()) -> str:
+def cases_page(title: str, cases: Sequence[Compared], home: Path, drawn: Sequence[Path] = ()) -> str:
     """The page.
 
     Parameters
@@ -91,8 +91,8 @@ def cases_page(title: str, cases: Sequence[Compared], home: Path, profiles: Sequ
     cases : sequence of Compared
     home : Path
         The folder of the page, from which its links lead to those of the cases.
-    profiles : sequence of Path
-        Pictures that compare the cases.
+    drawn : sequence of Path
+        Figures and profiles that compare the cases.
     """
     axes = list(cases[0].inputs)
     done = sum(case.status == DONE for case in cases)
@@ -100,7 +100,7 @@ def cases_page(title: str, cases: Sequence[Compared], home: Path, profiles: Sequ
     varied = [f"{name}: {_listed([case.inputs[name] for case in cases])}" for name in axes if name != "run"]
     lead = f"{len(doubtful)} of them kept not all of their checks." if doubtful else ""
     pictures = [
-        *(picture_in(file, f"Profile: {file.stem}") for file in profiles),
+        *(picture_in(file, titled(file)) for file in drawn),
         *_plots(home),
         *_gallery(cases),
     ]

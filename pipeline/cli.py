@@ -294,15 +294,17 @@ def report(
     ] = None,
     talk: Talk = TALK,
 ) -> int:
-    """Write one HTML page of a run or a batch; of several runs, one that compares them. Profiles go over each other.
+    """Write one HTML page of a run or a batch; of several runs, one that compares them. Draw its figures.
 
     The page needs no network: whether the run can be trusted and why, pictures, histories and contact pressures to
-    point at, the bodies over time to move about in, timings, where it comes from.
+    point at, the bodies over time to move about in, timings, where it comes from. The figures that the case or sweep
+    asks for are drawn, and profiles of runs over each other.
 
     For example:
 
     ```
     phantomnode report results/ring_impact
+    phantomnode report results/block_contact_sweep
     phantomnode report results/coarse results/fine --out results
     ```
     """

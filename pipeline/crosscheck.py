@@ -9,6 +9,7 @@ import numpy as np
 from phantomnode.pipeline.boundary_tables import BoxOn, TimeValue
 from phantomnode.pipeline.contact_tables import Contact
 from phantomnode.pipeline.expressions import ExpressionError, time_function
+from phantomnode.pipeline.figure_checks import case_faults
 from phantomnode.pipeline.messages import listed, shown, suggestion
 from phantomnode.pipeline.schema import Case, Hourglass
 from phantomnode.pipeline.shapes import FileGrid, MappedGrid
@@ -21,7 +22,7 @@ PROBES = 1001
 def cross_check(case: Case) -> list[str]:
     """Everything that is wrong between the tables of a case; each message starts with its key."""
     faults = [*_names(case), *_references(case), *_surfaces(case), *_files(case), *_motions(case)]
-    return [*faults, *_methods(case), *_profiles(case)]
+    return [*faults, *_methods(case), *_profiles(case), *case_faults(case)]
 
 
 def _names(case: Case) -> Iterator[str]:

@@ -162,7 +162,7 @@ def history_panels(results: Results, what: str) -> list[tuple[str, str, Curves]]
             ("stable step over the step taken", "", _steps(results)),
         ]
     if what in history:
-        return [(what, _unit(what), {what: history[what]})]
+        return [(what, unit_of(what), {what: history[what]})]
     known = (*HISTORIES, *history)
     raise CaseError(f"{what!r} is no history{suggestion(what, known)}; there are: {listed(known)}")
 
@@ -211,7 +211,7 @@ def _components(history: History, kind: str, letter: str, results: Results) -> d
     return {f"{name.split('.')[1]}, {name[-1]}": history[name] for name in names}
 
 
-def _unit(column: str) -> str:
+def unit_of(column: str) -> str:
     """The SI unit of a column of history.csv."""
     if column in (*ENERGIES,):
         return "J/m"

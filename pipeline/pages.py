@@ -71,6 +71,12 @@ def picture_in(file: Path, caption: str) -> Picture:
     return Picture(data_url(file.read_bytes()), caption)
 
 
+def titled(file: Path) -> str:
+    """The caption of a drawn file: profile.height.png is "Profile: height"."""
+    kind, _, name = file.stem.partition(".")
+    return f"{kind.capitalize()}: {name}"
+
+
 def data_url(png: bytes) -> str:
     """A PNG as the address of itself."""
     return f"data:image/png;base64,{b64encode(png).decode()}"

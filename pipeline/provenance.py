@@ -55,7 +55,9 @@ def family_hash(case: Case) -> str:
 
 def resolved_content(case: Case) -> dict[str, Any]:
     """The resolved case with, in place of the name of each file, its ending and the SHA-256 of its content."""
-    table = case.model_dump(mode="json", exclude_none=True, exclude={"title", "name", "folder", "variant"})
+    table = case.model_dump(
+        mode="json", exclude_none=True, exclude={"title", "name", "folder", "variant", "figure"}
+    )
     table["output"].pop("checkpoint", None)
     content: dict[str, Any] = _with_files(table, lambda file: _content(case.path(file)))
     return content

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from phantomnode.pipeline.cases_page import PAGE, cases_page, compared_cases, compared_runs, table_of
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.figures import draw_figures
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.profile import draw_profiles
 from phantomnode.pipeline.results import VARIANTS, open_results
@@ -16,7 +17,7 @@ COMPARISON = "comparison.html"
 
 
 def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
-    """Write the page of a run or a batch, or one that compares runs, and their profiles over each other.
+    """Write the page of a run or a batch with its figures, or one that compares runs, and profiles over each other.
 
     Parameters
     ----------
@@ -40,16 +41,18 @@ def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
         raise CaseError(f"{batches[0]}: holds a batch; a batch has a report of its own: name it alone")
     out.mkdir(parents=True, exist_ok=True)
     if batches:
-        text = cases_page(folders[0].resolve().name, compared_cases(folders[0]), folders[0])
-        return [_written(out / PAGE, text)]
+        figures = draw_figures(folders[0], out)
+        text = cases_page(folders[0].resolve().name, compared_cases(folders[0]), folders[0], figures)
+        return [_written(out / PAGE, text), *figures]
     runs = runs_of(folders)
     profiles = draw_profiles(runs, out)
     if len(folders) > 1:
         text = cases_page("Runs beside each other", compared_runs(runs), out, profiles)
         return [_written(out / COMPARISON, text), *profiles]
     variants = table_of(compared_runs(runs), folders[0]) if len(runs) > 1 else None
-    text = run_page(open_results(folders[0]), profiles, variants)
-    return [_written(out / PAGE, text), *profiles]
+    pictures = [*draw_figures(folders[0], out), *profiles]
+    text = run_page(open_results(folders[0]), pictures, variants)
+    return [_written(out / PAGE, text), *pictures]
 
 
 def report_runs(folders: Sequence[Path], out: Path) -> list[Path]:

@@ -162,10 +162,10 @@ def run_all(
     wall_limit: str | None = None,
     ordered: Callable[[], bool] = lambda: False,
 ) -> list[Summary]:
-    """Run a case and its variants, and draw their profiles over each other.
+    """Run a case and its variants, and draw their profiles over each other, and the figures of the case.
 
-    The variants go to ``variants/NAME`` in the results folder, the pictures, profile.NAME.png, to the folder
-    itself. A run that is interrupted is the last one. Parameters and errors are those of :func:`run`.
+    The variants go to ``variants/NAME`` in the results folder, the pictures, profile.NAME.png and figure.NAME.png,
+    to the folder itself. A run that is interrupted is the last one. Parameters and errors are those of :func:`run`.
 
     Returns
     -------
@@ -173,6 +173,7 @@ def run_all(
         Of the case, then of its variants.
     """
     from phantomnode.pipeline.case import variants
+    from phantomnode.pipeline.figures import draw_figures
 
     folder = Path(out)
     cases = {"": (case, folder)}
@@ -190,7 +191,10 @@ def run_all(
         summaries.append(summary)
         if summary.status == "interrupted":
             break
-    _tell(console, [f"picture   {picture}" for picture in draw_profiles(runs, folder)])
+    pictures = draw_profiles(runs, folder)
+    if case.figure and all(summary.status == "done" for summary in summaries):
+        pictures += draw_figures(folder)
+    _tell(console, [f"picture   {picture}" for picture in pictures])
     return summaries
 
 

@@ -14,7 +14,7 @@ from phantomnode.pipeline.drawing import moment, readable
 from phantomnode.pipeline.field_pictures import draw_field
 from phantomnode.pipeline.messages import shown
 from phantomnode.pipeline.page_charts import history_charts, pressure_charts
-from phantomnode.pipeline.pages import Picture, Table, picture_in, picture_of, render
+from phantomnode.pipeline.pages import Picture, Table, picture_in, picture_of, render, titled
 from phantomnode.pipeline.results import Results
 from phantomnode.pipeline.trust import Finding, findings, trusted
 from phantomnode.pipeline.view_data import view_data
@@ -28,14 +28,14 @@ UNENDED = Finding(
 )
 
 
-def run_page(results: Results, profiles: Sequence[Path] = (), variants: Table | None = None) -> str:
+def run_page(results: Results, drawn: Sequence[Path] = (), variants: Table | None = None) -> str:
     """The page.
 
     Parameters
     ----------
     results : Results
-    profiles : sequence of Path
-        Pictures of profiles, of the run and its variants.
+    drawn : sequence of Path
+        Figures and profiles of the run and its variants.
     variants : Table, optional
         The run and its variants beside each other.
 
@@ -68,7 +68,7 @@ def run_page(results: Results, profiles: Sequence[Path] = (), variants: Table | 
         view=view is not None,
         view_every=view["every"] if view else 1,
         frames=len(results.times),
-        pictures=[*_pictures(results), *(picture_in(file, f"Profile: {file.stem}") for file in profiles)],
+        pictures=[*_pictures(results), *(picture_in(file, titled(file)) for file in drawn)],
         variants=variants,
         timings=list(_timings(figures)),
         provenance=list(_provenance(results)),

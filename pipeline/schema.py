@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag,
 from phantomnode.pipeline.boundary_tables import Boundary, Directions, TimeValue
 from phantomnode.pipeline.contact_tables import Contact
 from phantomnode.pipeline.durations import EVERY, parse_every
+from phantomnode.pipeline.figure_tables import Figure
 from phantomnode.pipeline.shapes import (
     BodyGeometry,
     CartesianGrid,
@@ -312,6 +313,7 @@ class Case(Table):
     output: Output = Field(
         default=Output(), description="{ fields = { count = 60 }, history = { count = 2000 } }"
     )
+    figure: dict[Name, Figure] = Field(default={}, description="pictures, with their data as CSV")
     variant: dict[Name, dict[str, Any]] = Field(
         default={}, description="cases to run and to compare with this one: only the keys that differ"
     )

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -21,6 +21,8 @@ from phantomnode.pipeline.case import (
     read_toml,
 )
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.figure_checks import sweep_faults
+from phantomnode.pipeline.figure_tables import Figure
 from phantomnode.pipeline.messages import describe, listed, suggestion
 from phantomnode.pipeline.names import unique_names
 from phantomnode.pipeline.outputs import FIXED, known_outputs
@@ -28,6 +30,9 @@ from phantomnode.pipeline.overrides import set_key
 from phantomnode.pipeline.provenance import family_hash
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.values import Name, Table
+
+COPY = "batch.toml"
+"""The sweep in the folder of its batch."""
 
 
 class Plot(Table):
@@ -62,7 +67,8 @@ class Sweep(Table):
     outputs: tuple[str, ...] = Field(
         default=(), description="what the table of all cases shows; energy error and peak forces unless given"
     )
-    plot: dict[Name, Plot] = Field(default={}, description="pictures")
+    plot: dict[Name, Plot] = Field(default={}, description="pictures of an output over an axis")
+    figure: dict[Name, Figure] = Field(default={}, description="pictures of several cases, with their data")
 
     @model_validator(mode="after")
     def _axes_fit(self) -> Sweep:
@@ -91,7 +97,7 @@ class Point:
     name : str
         Readable, made of the values, good as the name of a folder and unlike every other.
     values : dict
-        The value of each axis, as TOML reads it.
+        The value of each axis, as TOML reads it, or its name where the axis gives names.
     case : Case
         Validated.
     hash : str
@@ -118,6 +124,8 @@ class Study:
         Names of the outputs that these cases have, in the order of results.csv.
     shown : tuple of str
         Those that the table of all cases shows.
+    file : Path
+        Where the sweep was read from.
     """
 
     name: str
@@ -125,6 +133,13 @@ class Study:
     points: tuple[Point, ...]
     outputs: tuple[str, ...]
     shown: tuple[str, ...]
+    file: Path
+
+    def copy(self) -> dict[str, Any]:
+        """The sweep as a table that loads from anywhere."""
+        table = self.sweep.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+        beside = self.file.parent / Path(self.sweep.base).expanduser()
+        return {**table, "base": str(beside.resolve()) if beside.exists() else self.sweep.base}
 
 
 def load_study(source: str | Path) -> Study:
@@ -148,9 +163,10 @@ def load_study(source: str | Path) -> Study:
         outputs = tuple(dict.fromkeys(name for point in points for name in known_outputs(point.case)))
         shown = sweep.outputs or tuple(name for name in outputs if name.startswith("peak_contact_force"))[:3]
         _refuse_unknown_outputs(sweep, outputs)
+        _refuse_wrong_figures(sweep, points)
     except CaseError as error:
         raise CaseError([f"{file}: {message}" for message in error.messages]) from error
-    return Study(default_name(file), sweep, points, outputs, shown or outputs[:1])
+    return Study(default_name(file), sweep, points, outputs, shown or outputs[:1], file)
 
 
 def find_sweep(source: str | Path) -> Path:
@@ -200,6 +216,7 @@ def _base(sweep: Sweep, file: Path) -> dict[str, Any]:
     table = read_toml(found)
     table["folder"] = str((found.parent / str(table.get("folder", "."))).resolve())
     table.setdefault("name", default_name(found))
+    table.pop("figure", None)  # a batch draws its own
     for key, value in sweep.set.items():
         try:
             set_key(table, key, value)
@@ -211,11 +228,12 @@ def _base(sweep: Sweep, file: Path) -> dict[str, Any]:
 def _points(sweep: Sweep, base: Mapping[str, Any]) -> tuple[Point, ...]:
     """Every case of a sweep, validated."""
     choices = list(_choices(sweep))
-    names = unique_names(choices)
+    shown = [{name: value.shown for name, value in choice.items()} for choice in choices]
+    names = unique_names(shown)
     cases, faults = [], dict[str, list[str]]()
-    for name, values in zip(names, choices, strict=True):
+    for name, choice in zip(names, choices, strict=True):
         try:
-            cases.append(_case(sweep, base, values))
+            cases.append(_case(sweep, base, {axis: value.of_case for axis, value in choice.items()}))
         except CaseError as error:
             for message in error.messages:
                 faults.setdefault(message, []).append(name)
@@ -223,12 +241,19 @@ def _points(sweep: Sweep, base: Mapping[str, Any]) -> tuple[Point, ...]:
         raise CaseError([_in_cases(message, found, len(names)) for message, found in faults.items()])
     hashes = [family_hash(case) for case in cases]
     _refuse_twins(names, hashes)
-    return tuple(Point(*parts) for parts in zip(names, choices, cases, hashes, strict=True))
+    return tuple(Point(*parts) for parts in zip(names, shown, cases, hashes, strict=True))
 
 
-def _choices(sweep: Sweep) -> Iterator[dict[str, Any]]:
+class _Value(NamedTuple):
+    """A value of an axis: as the case takes it, and as it is called."""
+
+    of_case: Any
+    shown: Any
+
+
+def _choices(sweep: Sweep) -> Iterator[dict[str, _Value]]:
     """The values of the axes, by name, of each case; the last group of axes varies fastest."""
-    values = {name: axis_values(name, axis, sweep.samples) for name, axis in sweep.axis.items()}
+    values = {name: _named_values(name, axis, sweep.samples) for name, axis in sweep.axis.items()}
     random = tuple(name for name, axis in sweep.axis.items() if axis.random)
     groups = [*sweep.zip, random] if random else [*sweep.zip]
     group_of = {name: group for group in groups for name in group}
@@ -238,6 +263,12 @@ def _choices(sweep: Sweep) -> Iterator[dict[str, Any]]:
         pairs = zip(ordered, chosen, strict=True)
         found = {name: value for group, row in pairs for name, value in zip(group, row, strict=True)}
         yield {name: found[name] for name in sweep.axis}
+
+
+def _named_values(name: str, axis: Axis, samples: Samples | None) -> list[_Value]:
+    """The values of an axis with what they are called."""
+    values = axis_values(name, axis, samples)
+    return [_Value(*pair) for pair in zip(values, axis.names or values, strict=True)]
 
 
 def _case(sweep: Sweep, base: Mapping[str, Any], values: Mapping[str, Any]) -> Case:
@@ -309,4 +340,11 @@ def _refuse_unknown_outputs(sweep: Sweep, outputs: tuple[str, ...]) -> None:
         if output not in outputs
     ]
     if faults:
+        raise CaseError(faults)
+
+
+def _refuse_wrong_figures(sweep: Sweep, points: tuple[Point, ...]) -> None:
+    """Every figure asks for what the cases have."""
+    cases, places = [point.case for point in points], [point.values for point in points]
+    if faults := list(sweep_faults(sweep.figure, cases, places)):
         raise CaseError(faults)

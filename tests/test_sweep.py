@@ -117,6 +117,20 @@ def test_a_sweep_of_a_bundled_case_and_keys_of_every_case(sweep) -> None:
     assert study.points[0].case.path("ring.dxf").is_file()
 
 
+def test_names_of_values_stand_in_their_places_in_folders_and_tables(sweep) -> None:
+    cell = {**CELL, "names": ["coarse", "coarse", "fine"]}
+    study = sweep(
+        axis={"speed": {**SPEED, "values": [-1.0, -2.0, -3.0]}, "cell": cell}, zip=[["speed", "cell"]]
+    )
+    assert [p.name for p in study.points] == [
+        "speed=-1_cell=coarse",
+        "speed=-2_cell=coarse",
+        "speed=-3_cell=fine",
+    ]
+    assert [p.values["cell"] for p in study.points] == ["coarse", "coarse", "fine"]
+    assert [p.case.grid_of("part").cell for p in study.points] == [0.5, 0.25, 0.2]
+
+
 def test_the_bundled_sweep_has_24_cases_and_is_no_case() -> None:
     study = load_study("ring_impact")
     assert len(study.points) == 24 and study.name == "ring_impact_sweep"
