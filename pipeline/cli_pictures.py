@@ -131,6 +131,14 @@ def paraview(
     open_: Annotated[
         bool, Parameter(name="--open", negative=(), show_default=False, help="Start ParaView with it.")
     ] = False,
+    vtkhdf: Annotated[
+        bool,
+        Parameter(
+            negative=(),
+            show_default=False,
+            help="Write all frames into fields.vtkhdf and contact.vtkhdf, for ParaView 5.12 or later (needs h5py).",
+        ),
+    ] = False,
     talk: Talk = TALK,
 ) -> int:
     """Write in_paraview.py into the folder of a run: a view of it in ParaView, set up.
@@ -151,6 +159,11 @@ def paraview(
 
         script = write_script(open_results(folder))
         console.print(f"script    {script}", soft_wrap=True, highlight=False, markup=False)
+        if vtkhdf:
+            from phantomnode.pipeline.vtkhdf import write_vtkhdf
+
+            for file in write_vtkhdf(open_results(folder)):
+                console.print(f"series    {file}", soft_wrap=True, highlight=False, markup=False)
         if open_:
             open_paraview(script)
         else:

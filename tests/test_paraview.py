@@ -19,6 +19,8 @@ from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.paraview import SCRIPT, open_paraview, view_of, write_script
 from phantomnode.pipeline.results import Results, open_results
 from phantomnode.pipeline.run import run
+from phantomnode.pipeline.vtkhdf import write_vtkhdf
+from phantomnode.pipeline.vtu_reader import read_pvd
 
 LOOK = Path(__file__).with_name("look_in_paraview.py")
 SHORT = {
@@ -110,8 +112,43 @@ def test_the_script_draws_a_picture(short_runs, tmp_path: Path) -> None:
     assert len(np.unique(np.round(flat * 16), axis=0)) > 60  # a colour map
 
 
-def test_the_script_holds_the_ranges_of_the_run(tmp_path: Path) -> None:
-    results = short_run("ring_impact", tmp_path / "ring")
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    return short_run("ring_impact", tmp_path_factory.mktemp("one") / "ring")
+
+
+def test_one_file_holds_all_frames_as_vtk_reads_them(ring: Results) -> None:
+    """VTKHDF against the series of .vtu files that it was made of."""
+    vtk = pytest.importorskip("vtk")
+    pyvista = pytest.importorskip("pyvista")
+    for path in write_vtkhdf(ring):
+        reader = vtk.vtkHDFReader()
+        reader.SetFileName(str(path))
+        reader.UpdateInformation()
+        series = read_pvd(path.with_suffix(".pvd"))
+        assert reader.GetHasTemporalData() and reader.GetNumberOfSteps() == len(series) == 5
+        for number, (time, file) in enumerate(series):
+            reader.SetStep(number)
+            reader.Update()
+            assert reader.GetTimeValue() == time
+            one, other = pyvista.wrap(reader.GetOutput()), pyvista.read(file)
+            np.testing.assert_array_equal(one.points, other.points)
+            np.testing.assert_array_equal(one.cells, other.cells)
+            np.testing.assert_array_equal(one.celltypes, other.celltypes)
+            for mine, theirs in ((one.cell_data, other.cell_data), (one.point_data, other.point_data)):
+                assert set(mine.keys()) == set(theirs.keys())
+                for name in mine:
+                    np.testing.assert_array_equal(mine[name], theirs[name])
+
+
+def test_without_h5py_there_is_advice(ring: Results, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(CaseError, match=r"phantomnode\[vtkhdf\]"):
+        write_vtkhdf(ring)
+
+
+def test_the_script_holds_the_ranges_of_the_run(ring: Results) -> None:
+    results = ring
     assert cli.app(["paraview", str(results.path)], result_action="return_value") == 0
     tree = ast.parse((results.path / SCRIPT).read_text(encoding="utf-8"))
     held = {
