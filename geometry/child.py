@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.errors import GeometryError, NoUnitError
 
 
 def ask(request: dict[str, Any], content: bytes, time_limit: float) -> Any:
@@ -36,7 +36,8 @@ def ask(request: dict[str, Any], content: bytes, time_limit: float) -> Any:
         raise GeometryError(_what_happened(status, said))
     answer: dict[str, Any] = json.loads(text.removesuffix(token))
     if "error" in answer:
-        raise GeometryError(answer["error"])
+        kind = NoUnitError if answer.get("kind") == NoUnitError.__name__ else GeometryError
+        raise kind(answer["error"])
     return answer["result"]
 
 

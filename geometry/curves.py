@@ -7,13 +7,18 @@ one and the same vertex, so a closed chain is closed exactly, and arcs stay arcs
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.geometry.errors import GeometryError
+
+if TYPE_CHECKING:
+    from phantomnode.geometry.findings import Finding
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -225,17 +230,34 @@ class Geometry:
         Open curves, and closed ones that are no outline.
     notes : tuple of str
         What the reader left out or mended, for the log and for ``check``.
-    unit : str
-        The unit that the numbers of the file were taken to have.
+    unit, format : str
+        The unit that the numbers of the file were taken to have, and its format in words.
     contents : tuple of Contents
         The layers of a drawing, whether they count or not.
+    findings : tuple of Finding
+        What was mended in the drawing and what cannot be, with its place.
     """
 
     regions: tuple[Region, ...] = ()
     curves: tuple[Curve, ...] = ()
     notes: tuple[str, ...] = ()
     unit: str = "m"
+    format: str = ""
     contents: tuple[Contents, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def wrong(self) -> tuple[Finding, ...]:
+        """What cannot be mended: outlines that cross."""
+        return tuple(finding for finding in self.findings if finding.wrong)
+
+
+def diagonal(curves: Sequence[Curve]) -> float:
+    """Diagonal of the common bounding box of the curves; 0 where there are none."""
+    if not curves:
+        return 0.0
+    boxes = np.array([curve.box for curve in curves])
+    return float(np.hypot(*(boxes[:, 1].max(axis=0) - boxes[:, 0].min(axis=0))))
 
 
 def part_names(regions: tuple[Region, ...]) -> tuple[str, ...]:

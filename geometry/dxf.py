@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from phantomnode.geometry.curves import Contents, Curve, Geometry
+from phantomnode.geometry.curves import Contents, Curve, Geometry, diagonal
 from phantomnode.geometry.dxf_entities import AREAS, Item, Sheet, SolidError
 from phantomnode.geometry.dxf_load import load, quiet
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.flatten import CHORD_ERROR, trace
-from phantomnode.geometry.loops import assemble, diagonal, join
+from phantomnode.geometry.loops import assemble, join
 from phantomnode.geometry.units import INSUNITS, chosen, metres
 
 MOST_ENTITIES = 100_000

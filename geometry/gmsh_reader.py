@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from phantomnode.geometry import gmsh_cad, gmsh_mesh, gmsh_section
 from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.limits import forbid
-from phantomnode.geometry.loops import assemble, join, nest
+from phantomnode.geometry.loops import assemble, join
+from phantomnode.geometry.nesting import nest
 from phantomnode.geometry.planes import Plane
 
 GMSH_LIBRARIES = (
@@ -143,7 +145,7 @@ def _assembled(data: dict[str, Any], factor: float, notes: list[str]) -> Geometr
     free = _pieces(data["free"], factor)
     if not data["groups"]:
         loose = assemble(free)
-        return Geometry(loose.regions, loose.curves, (*notes, *loose.notes))
+        return replace(loose, notes=(*notes, *loose.notes))
     chains = join(free)
     return Geometry(tuple(regions), chains.closed + chains.open, (*notes, *chains.notes))
 

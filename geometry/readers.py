@@ -14,7 +14,8 @@ import numpy as np
 from phantomnode.geometry import wire
 from phantomnode.geometry.child import ask
 from phantomnode.geometry.curves import Geometry
-from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.errors import GeometryError, OutlineError
+from phantomnode.geometry.findings import complaint
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.geometry.numbering import renumbered
 
@@ -70,7 +71,8 @@ def read_geometry(
     Raises
     ------
     GeometryError
-        Naming the file, what is wrong and what to do.
+        Naming the file, what is wrong and what to do; an OutlineError, which holds the curves, where they make
+        nothing but outlines that cross, a NoUnitError where there is no unit.
     """
     wanted = {
         "unit": unit,
@@ -83,7 +85,9 @@ def read_geometry(
     with _about(path):
         request = {"read": "geometry", "wanted": wanted}
         geometry = wire.decoded(ask(request, _content(Path(path)), time_limit))
-    assert isinstance(geometry, Geometry)
+        assert isinstance(geometry, Geometry)
+        if geometry.wrong and not geometry.regions:
+            raise OutlineError(complaint(geometry.findings, geometry.unit), geometry)
     return geometry
 
 
@@ -115,7 +119,8 @@ def _about(path: str | Path) -> Iterator[None]:
     try:
         yield
     except GeometryError as error:
-        raise GeometryError(f"{path}: {error}") from error.__cause__
+        error.args = (f"{path}: {error}",)
+        raise
 
 
 def _content(path: Path) -> bytes:

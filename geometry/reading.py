@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from phantomnode.geometry.curves import Geometry
+from phantomnode.geometry.curves import Geometry, diagonal
 from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.findings import notes
 from phantomnode.geometry.formats import SUFFIXES, WORDS, File, recognised
-from phantomnode.geometry.loops import diagonal
 from phantomnode.geometry.scripts import cleaned, objection
 from phantomnode.geometry.units import chosen, iges_unit, metres, size_note, step_unit
 
@@ -31,9 +31,12 @@ def geometry(content: bytes, wanted: dict[str, Any], time_limit: float) -> Geome
         found = _by_gmsh(file, wanted)
     if not found.regions and not found.curves:
         raise GeometryError("the file holds no curve of any length")
+    said = [*found.notes, *notes(found.findings, found.unit)]
     loops = [loop for region in found.regions for loop in region.loops]
     unlikely = size_note(diagonal([*loops, *found.curves]), found.unit)
-    return replace(found, notes=(unlikely, *found.notes)) if unlikely else found
+    if unlikely:
+        said.insert(0, unlikely)
+    return replace(found, notes=tuple(said), format=WORDS[file.kind])
 
 
 def quads(content: bytes, unit: str | None) -> dict[str, Any]:
@@ -72,14 +75,14 @@ def _by_gmsh(file: File, wanted: dict[str, Any]) -> Geometry:
         own = step_unit(file.text)
     elif file.kind == "iges":
         own = iges_unit(file.text)
-    name, notes = chosen(wanted["unit"], own)
+    name, said = chosen(wanted["unit"], own)
     factor = metres(name)
     if file.kind in ("step", "iges"):
         # gmsh gives these in millimetres, by the unit in the file (millimetres where it has none).
         factor = 1e-3 if name == own else 1e-3 * metres(name) / metres(own or "mm")
     trusted = wanted["trust_scripts"]
     found = read_curves(content, SUFFIXES[file.kind], factor, wanted["face"], wanted["section"], trusted)
-    return replace(found, notes=(*notes, *found.notes), unit=name)
+    return replace(found, notes=(*said, *found.notes), unit=name)
 
 
 def _vetted(file: File, trust_scripts: bool) -> bytes:

@@ -24,7 +24,7 @@ def main(arguments: list[str]) -> None:
     try:
         answer = {"result": _read(request, content, seconds)}
     except GeometryError as error:
-        answer = {"error": str(error)}
+        answer = {"error": str(error), "kind": type(error).__name__}
     except MemoryError:
         answer = {"error": f"reading it needs more than {ADDRESS_SPACE >> 30} GB of memory; simplify it"}
     let_write()

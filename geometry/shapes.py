@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from phantomnode.geometry.curves import SIDES, Curve, Geometry, Region
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.flatten import flatten
-from phantomnode.geometry.loops import check_simple
+from phantomnode.geometry.nesting import check_simple
 
 Floats = NDArray[np.float64]
 

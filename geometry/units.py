@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import re
 
-from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.errors import GeometryError, NoUnitError
 
 METRES = {
     "m": 1.0,
@@ -61,10 +61,6 @@ def metres(unit: str) -> float:
     near = difflib.get_close_matches(unit.lower(), METRES, n=1, cutoff=0.5)
     hint = f"; did you mean '{near[0]}'?" if near else ""
     raise GeometryError(f"unknown unit of length '{unit}'{hint} (one of {', '.join(METRES)})")
-
-
-class NoUnitError(GeometryError):
-    """Neither the file nor the user says in which unit the numbers of the file are."""
 
 
 def chosen(given: str | None, own: str | None, hint: str = "") -> tuple[str, tuple[str, ...]]:

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from phantomnode.geometry.curves import Contents, Curve, Geometry, Region
+from phantomnode.geometry.findings import Finding
 
-_CLASSES: dict[str, Any] = {cls.__name__: cls for cls in (Geometry, Region, Curve, Contents)}
+_CLASSES: dict[str, Any] = {cls.__name__: cls for cls in (Geometry, Region, Curve, Contents, Finding)}
 
 
 def encoded(value: Any) -> Any:

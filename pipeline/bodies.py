@@ -14,12 +14,14 @@ from phantomnode.geometry import mapped, shapes
 from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.cut import cut
 from phantomnode.geometry.doubling import CutMesh, double
-from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.errors import GeometryError, OutlineError
 from phantomnode.geometry.fans import centroid_fans
+from phantomnode.geometry.findings import complaint
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.geometry.noding import Lattice
 from phantomnode.geometry.readers import read_geometry, read_quads
 from phantomnode.geometry.relocate import relocate
+from phantomnode.geometry.units import metres
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.expressions import ExpressionError, parse
 from phantomnode.pipeline.schema import Case
@@ -135,31 +137,47 @@ def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tu
     """The outlines of a body, placed, with the reader's notes."""
     source = _drawing(case, geometry)
     if not source.regions:
-        raise GeometryError(f"there is no closed outline, and a body needs one; {_open_ends(source.curves)}")
+        raise OutlineError(f"there is no closed outline, and a body needs one; {_open_ends(source)}", source)
     if geometry.region is not None:
-        names = sorted({region.name for region in source.regions if region.name})
-        chosen = tuple(region for region in source.regions if region.name == geometry.region)
-        if not chosen:
-            raise GeometryError(
-                f"no region is named {geometry.region!r}; there are: {', '.join(names) or 'none'}"
-            )
-        source = replace(source, regions=chosen)
-    elif isinstance(geometry, BodyGeometry) and geometry.file is not None and source.curves:
+        source = replace(source, regions=_chosen(source, geometry.region))
+    elif source.wrong:
+        raise OutlineError(complaint(source.findings, source.unit), source)
+    elif geometry.file is not None and source.curves:
         note = f"{len(source.curves)} curves of {geometry.file} are no part of an outline and are left out"
         source = replace(source, curves=(), notes=(*source.notes, note))
     placed = shapes.placed(source, geometry.move, geometry.rotate, geometry.scale)
     return placed.regions, source.notes
 
 
-def _open_ends(curves: tuple[Curve, ...]) -> str:
-    """Where the widest open chain would have to be closed."""
-    if not curves:
+def _chosen(source: Geometry, region: str | int) -> tuple[Region, ...]:
+    """The region of a number, or those of a name (their own, or that of the layer of their outline)."""
+    if isinstance(region, int):
+        if not 1 <= region <= len(source.regions):
+            raise GeometryError(
+                f"there is no region {region}; there are {len(source.regions)}, counted from 1"
+            )
+        return (source.regions[region - 1],)
+    found = tuple(r for r in source.regions if region in (r.name, r.outer.name))
+    if not found:
+        names = sorted({name for r in source.regions for name in (r.name, r.outer.name) if name})
+        raise GeometryError(
+            f"no region is named {region!r}; there are {len(source.regions)}, which can be taken by number"
+            f"{', or by a name: ' + ', '.join(names) if names else ''}"
+        )
+    return found
+
+
+def _open_ends(source: Geometry) -> str:
+    """Where the longest open chain would have to be closed, in the unit of the file."""
+    if not source.curves:
         return "there are no open curves either"
-    longest = max(curves, key=lambda curve: float(curve.lengths.sum()))
-    (x0, y0), (x1, y1) = longest.points[0], longest.points[-1]
+    factor = metres(source.unit)
+    longest = max(source.curves, key=lambda curve: float(curve.lengths.sum()))
+    (x0, y0), (x1, y1) = longest.points[[0, -1]] / factor + 0.0
     return (
-        f"{len(curves)} open curves were found; the longest ends at ({x0:.6g}, {y0:.6g}) m and "
-        f"({x1:.6g}, {y1:.6g}) m, {np.hypot(x1 - x0, y1 - y0):.3g} m apart: join the ends in the drawing"
+        f"{len(source.curves)} open curves were found; the longest ends at ({x0:.6g}, {y0:.6g}) and "
+        f"({x1:.6g}, {y1:.6g}) {source.unit}, {np.hypot(x1 - x0, y1 - y0):.3g} {source.unit} apart: join the ends "
+        "in the drawing"
     )
 
 
@@ -200,6 +218,8 @@ def curves_of(
     notes: tuple[str, ...] = ()
     if geometry.file is not None:
         drawing = _read(case, geometry)
+        if drawing.wrong:
+            raise OutlineError(complaint(drawing.findings, drawing.unit), drawing)
         loops = tuple(loop for region in drawing.regions for loop in region.loops)
         curves, notes = (*drawing.curves, *loops), drawing.notes
     elif geometry.polyline is not None:

@@ -1,4 +1,4 @@
-"""The command line: ``phantomnode run | batch | check | cases | new | report | plot | animate | paraview | schema``.
+"""The command line: ``phantomnode run | batch | check | cases | inspect | new | report | plot | ...``.
 
 Everything heavy is imported inside the commands, so that ``--help`` answers at once.
 """
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import App, Parameter
 
 import phantomnode
+from phantomnode.pipeline.cli_files import inspect, new
 from phantomnode.pipeline.cli_pictures import animate, paraview, plot
 from phantomnode.pipeline.console import DONE, INTERRUPTED, SOME_FAILED, STOPPED, TALK, Talk, guarded
 from phantomnode.pipeline.places import RESULTS, folder_to_resume, results_folder
@@ -254,32 +255,8 @@ def cases() -> int:
     return guarded(command)
 
 
-@app.command
-def new(
-    name: Annotated[str, Parameter(name="NAME", help="The folder to make; its last part names the case.")], /
-) -> int:
-    """Write a commented starter case: a disc from a DXF drawing falls on a block.
-
-    For example:
-
-    ```
-    phantomnode new my_case && phantomnode run my_case
-    ```
-    """
-
-    def command(console: Console) -> int:
-        from shlex import quote
-
-        from phantomnode.pipeline.starter import write_starter
-
-        folder = write_starter(Path(name))
-        console.print(
-            f"Wrote {folder / 'case.toml'} and {folder / 'disc.dxf'}.", highlight=False, soft_wrap=True
-        )
-        console.print(f"Run it:  phantomnode run {quote(name)}", highlight=False, soft_wrap=True)
-        return DONE
-
-    return guarded(command)
+app.command(inspect)
+app.command(new)
 
 
 @app.command

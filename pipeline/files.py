@@ -8,6 +8,8 @@ import os
 import secrets
 from pathlib import Path
 
+from phantomnode.pipeline.errors import CaseError
+
 AS_IT_IS = getattr(os, "O_BINARY", 0)
 """Windows would change ends of lines."""
 
@@ -179,3 +181,19 @@ def remove_parts(folder: Path) -> None:
     """Remove the temporary files that a killed process left in a folder."""
     for part in folder.glob(".*.part"):
         part.unlink(missing_ok=True)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, with its parents, unless it is there.
+
+    Raises
+    ------
+    CaseError
+        If a file is in the way.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise CaseError(
+            f"{folder}: this is a file, or lies under one; choose another results folder"
+        ) from None

@@ -16,7 +16,7 @@ from phantomnode.pipeline.background import Background
 from phantomnode.pipeline.checkpoint import identity
 from phantomnode.pipeline.durations import every_option
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.files import make_folder, write_atomically
 from phantomnode.pipeline.folder import cannot_write, finished_run, go_on_with, write_manifest
 from phantomnode.pipeline.keeper import Keeper
 from phantomnode.pipeline.lock import FolderLock
@@ -113,7 +113,7 @@ def run(
     own = identity(digest, prepared.model)
     source: dict[str, Any] = {"case_hash": digest, "provenance": provenance(command, threads)}
     try:
-        _mkdir(folder)
+        make_folder(folder)
         with FolderLock(folder) as lock, Stopping(limit, ordered) as stopping, ExitStack() as closing:
             if lock.taken_over:
                 notes.append(f"{folder}: the run before was killed; its folder is taken over")
@@ -236,13 +236,16 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
     CaseError, GeometryError
         Where the case, a geometry or the folder cannot be used.
     """
+    from phantomnode.pipeline.cad_picture import drawn_where_refused
     from phantomnode.pipeline.check_picture import draw_preview
     from phantomnode.pipeline.prepare import prepare
     from phantomnode.pipeline.preview import preview_vtu
 
-    prepared, folder = prepare(case), Path(out)
+    folder = Path(out)
+    with drawn_where_refused(folder):
+        prepared = prepare(case)
     stations(prepared)  # a line that meets no body is told now
-    _mkdir(folder)
+    make_folder(folder)
     write_atomically(folder / "preview.vtu", preview_vtu(prepared))
     draw_preview(prepared, folder / "preview.png")
     if console is not None:
@@ -372,12 +375,3 @@ def _refuse_source_folder(case: Case, folder: Path) -> None:
     """The resolved case must not overwrite the case file that it came from."""
     if folder.resolve() == case.folder.resolve():
         raise CaseError(f"{folder}: the results cannot go into the case's own folder; choose another one")
-
-
-def _mkdir(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError):
-        raise CaseError(
-            f"{folder}: this is a file, or lies under one; choose another results folder"
-        ) from None

@@ -124,7 +124,15 @@ class Drawing(Placement):
 class BodyGeometry(Drawing):
     """The outline of a body: a file or one shape."""
 
-    region: str | None = Field(default=None, description="name of the region of the file to take")
+    region: (
+        Annotated[
+            Annotated[Count, Tag("=number")] | Annotated[str, Field(min_length=1), Tag("=text")],
+            Discriminator(kind_of_value),
+        ]
+        | None
+    ) = Field(
+        default=None, description="name or number (as `inspect` counts) of the region of the file to take"
+    )
     rectangle: Rectangle | None = Field(default=None, description="{ low = [x, y], high = [x, y] }")
     circle: Circle | None = Field(default=None, description="{ centre = [x, y], radius = r }")
     ring: Ring | None = Field(default=None, description="{ centre = [x, y], outer = R, inner = r }")

@@ -77,12 +77,23 @@ def write_starter(folder: Path) -> Path:
     CaseError
         If the folder holds anything already.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CaseError(f"{folder}: exists already and is left as it is; choose another name")
-    folder.mkdir(parents=True, exist_ok=True)
+    make_new(folder)
     _write_disc(folder / "disc.dxf")
     (folder / "case.toml").write_text(CASE.format(folder=folder), encoding="utf-8")
     return folder
+
+
+def make_new(folder: Path) -> None:
+    """Make a folder, with its parents; an empty one is used.
+
+    Raises
+    ------
+    CaseError
+        If it holds anything already.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise CaseError(f"{folder}: exists already and is left as it is; choose another name")
+    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _write_disc(file: Path) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import ezdxf
 import pytest
 
-from phantomnode.pipeline import cli
+from phantomnode.pipeline import cli, console
 
 CASE = """
 time = { end = 1e-3 }
@@ -209,7 +209,7 @@ def test_fault(
     (tmp_path / "case.toml").write_text(CASE)
     files(tmp_path)
     before = sorted(tmp_path.rglob("*"))
-    assert cli.run("case.toml", set_=tuple(overrides)) == cli.INPUT_AT_FAULT
+    assert cli.run("case.toml", set_=tuple(overrides)) == console.INPUT_AT_FAULT
     message = capsys.readouterr().err
     assert said in " ".join(message.split()), message
     assert "Traceback" not in message
@@ -220,7 +220,7 @@ def test_the_case_itself_is_sound(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     """The faults above are the only ones: without them the case runs."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "case.toml").write_text(CASE)
-    assert cli.run("case.toml", set_=("time.end=1e-4",)) == cli.DONE
+    assert cli.run("case.toml", set_=("time.end=1e-4",)) == console.DONE
 
 
 def test_every_fault_has_a_message_of_its_own(

@@ -7,6 +7,7 @@ from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.flatten import arc_pieces, flatten, trace
 from phantomnode.geometry.loops import assemble, join
+from phantomnode.geometry.nesting import nest
 from phantomnode.geometry.shapes import circle, polygon, polyline, rectangle
 
 
@@ -43,7 +44,7 @@ def test_ends_an_ulp_apart_become_one_vertex_to_the_bit() -> None:
 )
 def test_a_gap_is_closed_up_to_1e_4_of_the_diagonal_and_noted(gap: float, closes: bool, noted: int) -> None:
     geometry = assemble([*sides(UNIT, (0, 1, 2), ()), line((0.0, 1.0), (0.0, gap * np.sqrt(2.0)))])
-    assert bool(geometry.regions) is closes and len(geometry.notes) == noted
+    assert bool(geometry.regions) is closes and len(geometry.findings) == noted
 
 
 def test_names_stay_with_their_pieces_and_name_the_chain_where_they_agree() -> None:
@@ -87,7 +88,11 @@ def test_pieces_drawn_twice_and_of_no_length_are_noted() -> None:
     pieces = [*sides(UNIT, (0, 1, 2, 3, 1), ()), line((1, 0), (0, 0)), line((0, 0), (0, 0))]
     geometry = assemble(pieces)
     assert len(geometry.regions) == 1
-    assert geometry.notes == ("1 curves of no length were left out", "2 curves drawn twice were taken once")
+    assert [(f.kind, f.at) for f in geometry.findings] == [
+        ("twice", (1.0, 0.0)),
+        ("twice", (1.0, 0.0)),
+        ("short", (0.0, 0.0)),
+    ]
 
 
 def test_a_line_and_an_arc_between_the_same_ends_are_not_the_same_curve() -> None:
@@ -98,7 +103,7 @@ def test_a_line_and_an_arc_between_the_same_ends_are_not_the_same_curve() -> Non
 
 def test_chains_end_where_they_branch() -> None:
     chains = join([line((0, 0), (1, 0)), line((1, 0), (2, 0)), line((1, 0), (1, 1))])
-    assert len(chains.open) == 3 and "branch at 1 points, the first (1, 0)" in chains.notes[0]
+    assert len(chains.open) == 3 and not chains.findings
 
 
 def test_a_short_open_curve_is_not_closed_upon_itself() -> None:
@@ -119,7 +124,9 @@ def test_a_short_open_curve_is_not_closed_upon_itself() -> None:
 )
 def test_outlines_that_cross_are_refused_with_the_place(loops: list[Curve], where: str) -> None:
     with pytest.raises(GeometryError, match=where):
-        assemble(loops)
+        nest(loops)
+    geometry = assemble(loops)
+    assert not geometry.regions and len(geometry.curves) == len(loops) and len(geometry.wrong) == 1
 
 
 def test_a_polygon_from_many_short_lines_joins_fast_and_exactly() -> None:

@@ -1,0 +1,193 @@
+"""``phantomnode new NAME --from FILE``: a case for a drawing, with the names in it filled in."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from phantomnode.geometry.curves import Geometry, Region, part_names
+from phantomnode.geometry.errors import OutlineError
+from phantomnode.geometry.findings import complaint
+from phantomnode.geometry.readers import read_geometry
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.starter import make_new
+
+HEAD = """\
+# {what} of {file} {falls} on a rigid plane. See what it becomes:   phantomnode check {folder}
+# Then run it:                                        phantomnode run {folder}
+#
+# Units are SI (m, s, kg, Pa), plane strain, forces per metre of thickness.
+{remarks}
+title = "{file} falls on a plane"
+time = {{ end = {end:g} }}                    # s; the step is found automatically
+
+[material.steel]
+E = 210e9                                   # Young's modulus, Pa
+nu = 0.3                                    # Poisson's ratio, below 0.5
+rho = 7800.0                                # density, kg/m^3
+"""
+
+BODY = """
+# {name}: {size}; parts: {parts}
+[body.{name}]
+geometry = {{ {geometry} }}
+grid = {{ kind = "cartesian", cell = {cell:g} }}
+material = "steel"
+initial_velocity = [0.0, -{speed:g}]             # m/s
+"""
+
+FLOOR = """
+[rigid.floor]                               # an obstacle without a mesh, on the left of its curve
+geometry = {{ polyline = {{ points = [[{right:g}, {height:.10g}], [{left:g}, {height:.10g}]] }} }}
+"""
+
+CONTACT = """
+[contact.{name}_on_floor]
+slave = "{name}.outer"                      # any of the parts above
+master = "floor"
+"""
+
+OUTPUT = """
+[output]
+fields = { count = 40 }                     # pictures for ParaView: open fields.pvd
+history = { count = 500 }                   # rows of history.csv
+"""
+
+SPEED = 10.0
+"""Of the fall, m/s: small against waves in steel, so that the impact is mild."""
+
+WAVE = 5900.0
+"""Speed of pressure waves in steel, m/s."""
+
+MOST_BODIES = 8
+"""Regions that become bodies, the largest first."""
+
+MOST_CELLS = 20_000
+"""Cells of the box of a body: a case to begin with runs in seconds."""
+
+
+def write_case_for(
+    folder: Path,
+    file: Path,
+    unit: str | None = None,
+    layers: Sequence[str] = (),
+    without_layers: Sequence[str] = (),
+) -> Path:
+    """Write a case in which the regions of a geometry file fall on a rigid plane, into a new folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Made, with its parents; an empty one is used. It gets a copy of the file.
+    file : Path
+    unit : str, optional
+        Unit of the file; its own unless given.
+    layers, without_layers : sequence of str
+        Layers of a DXF drawing that alone count, or that do not.
+
+    Raises
+    ------
+    CaseError, GeometryError
+        If the folder holds anything already, or no body can be made of the file.
+    """
+    geometry = read_geometry(file, unit, layers=layers, without_layers=without_layers)
+    if geometry.wrong:
+        raise OutlineError(f"{file}: {complaint(geometry.findings, geometry.unit)}", geometry)
+    if not geometry.regions:
+        raise CaseError(
+            f"{file}: holds no closed outline, and a body needs one; look: phantomnode inspect {file}"
+        )
+    text = _case(folder, file.name, geometry, layers, without_layers)
+    make_new(folder)
+    shutil.copyfile(file, folder / file.name)
+    (folder / "case.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def _case(
+    folder: Path, file: str, geometry: Geometry, layers: Sequence[str], without_layers: Sequence[str]
+) -> str:
+    """The text of the case file."""
+    order = sorted(range(len(geometry.regions)), key=lambda k: -geometry.regions[k].area)[:MOST_BODIES]
+    names = _names([geometry.regions[k] for k in order])
+    boxes = np.array([geometry.regions[k].box for k in order])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    cells = [_cell(geometry.regions[k]) for k in order]
+    gap = 0.5 * min(cells)
+    fall = max(float(box[0, 1] - low[1]) for box in boxes) + gap
+    end = _rounded(fall / SPEED + 8.0 * float(np.max(high - low)) / WAVE)
+    options = f'file = "{file}", unit = "{geometry.unit}"' + "".join(
+        f", {key} = [{', '.join(map(_quoted, chosen))}]"
+        for key, chosen in (("layers", layers), ("without_layers", without_layers))
+        if chosen
+    )
+    several = len(order) > 1
+    parts = [
+        HEAD.format(
+            what=f"{len(order)} regions" if several else "The outline", falls="fall" if several else "falls",
+            file=file, folder=folder, end=end, remarks=_remarks(geometry, len(order)),
+        )
+    ]  # fmt: skip
+    for k, name, cell in zip(order, names, cells, strict=True):
+        region = geometry.regions[k]
+        width, height = region.box[1] - region.box[0]
+        parts.append(
+            BODY.format(
+                name=name, size=f"{width:.6g} x {height:.6g} m", parts=", ".join(part_names((region,))), cell=cell,
+                geometry=options + (f", region = {k + 1}" if len(geometry.regions) > 1 else ""), speed=SPEED,
+            )
+        )  # fmt: skip
+    margin = float(high[0] - low[0])
+    parts.append(FLOOR.format(left=low[0] - margin, right=high[0] + margin, height=low[1] - gap))
+    parts += [CONTACT.format(name=name) for name in names]
+    return "".join((*parts, OUTPUT))
+
+
+def _remarks(geometry: Geometry, bodies: int) -> str:
+    """What the drawing holds beside the bodies, as comments."""
+    lines = [f"# {note}" for note in geometry.notes]
+    if len(geometry.regions) > bodies:
+        lines.append(
+            f"# {len(geometry.regions) - bodies} smaller regions are left out: phantomnode inspect lists them."
+        )
+    if geometry.curves:
+        lines.append(
+            f"# {len(geometry.curves)} curves are no outline; one across a body can split it ([interface.NAME])."
+        )
+    return "".join(line + "\n" for line in lines)
+
+
+def _names(regions: Sequence[Region]) -> list[str]:
+    """A name for each region that a table can have: its own, that of its layer, or "part", numbered."""
+    names: list[str] = []
+    for region in regions:
+        own = re.sub(r"\W+", "_", region.name or region.outer.name, flags=re.ASCII).strip("_").lower()
+        name = base = own[:30] if own[:1].isalpha() else "part"
+        number = 1
+        while name in (*names, "floor"):
+            number += 1
+            name = f"{base}_{number}"
+        names.append(name)
+    return names
+
+
+def _cell(region: Region) -> float:
+    """A cell, m: four to the mean width of the region, as far as the number of cells allows."""
+    length = float(sum(loop.lengths.sum() for loop in region.loops))
+    width, height = region.box[1] - region.box[0]
+    return _rounded(max(2.0 * region.area / length / 4.0, float(np.sqrt(width * height / MOST_CELLS))))
+
+
+def _rounded(value: float) -> float:
+    """The value to two digits."""
+    return float(f"{value:.1e}")
+
+
+def _quoted(text: str) -> str:
+    """A TOML string."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

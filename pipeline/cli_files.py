@@ -1,0 +1,121 @@
+"""The commands about geometry files and new cases: ``phantomnode inspect | new``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from phantomnode.pipeline.console import DONE, guarded
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+UnitOption = Annotated[
+    str | None,
+    Parameter(help='Unit of the numbers in the file ("mm", "m", "in", ...); the file\'s own unless given.'),
+]
+Layers = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--layer", negative=(), show_default=False,
+        help='A layer of a DXF drawing that alone counts, by name or pattern ("cut*"); can be repeated.',
+    ),
+]  # fmt: skip
+WithoutLayers = Annotated[
+    tuple[str, ...],
+    Parameter(
+        name="--without-layer", negative=(), show_default=False,
+        help="A layer of a DXF drawing that does not count; can be repeated.",
+    ),
+]  # fmt: skip
+Trust = Annotated[
+    bool,
+    Parameter(negative=(), show_default=False, help="Run commands in a .geo script (it can do anything)."),
+]
+
+
+def inspect(
+    file: Annotated[Path, Parameter(name="FILE", help="DXF, STEP, IGES, BREP, XAO, .geo or .msh.")],
+    /,
+    *,
+    unit: UnitOption = None,
+    layer: Layers = (),
+    without_layer: WithoutLayers = (),
+    trust_scripts: Trust = False,
+    out: Annotated[
+        Path | None, Parameter(help="The picture, a .png file; results/inspect/FILE.png unless given.")
+    ] = None,
+) -> int:
+    """Print what is in a geometry file and draw it: layers, regions, curves, sizes, what was mended, what is wrong.
+
+    For example:
+
+    ```
+    phantomnode inspect part.dxf
+    phantomnode inspect part.dxf --unit mm --without-layer "dim*"
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from phantomnode.pipeline.cad_picture import draw_geometry
+        from phantomnode.pipeline.files import make_folder
+        from phantomnode.pipeline.inspection import inspect_file, report
+
+        found = inspect_file(
+            file, unit, layers=layer, without_layers=without_layer, trust_scripts=trust_scripts
+        )
+        picture = out or Path("results") / "inspect" / f"{file.name}.png"
+        make_folder(picture.parent)
+        draw_geometry(found.geometry, picture, file.name)
+        console.print(report(found), highlight=False)
+        console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
+        return DONE
+
+    return guarded(command)
+
+
+def new(
+    name: Annotated[str, Parameter(name="NAME", help="The folder to make; its last part names the case.")],
+    /,
+    *,
+    from_: Annotated[
+        Path | None,
+        Parameter(name="--from", help="A geometry file to write the case for; it is copied into the folder."),
+    ] = None,
+    unit: UnitOption = None,
+    layer: Layers = (),
+    without_layer: WithoutLayers = (),
+) -> int:
+    """Write a commented starter case: a disc from a DXF drawing falls on a block, or your drawing falls on a plane.
+
+    For example:
+
+    ```
+    phantomnode new my_case && phantomnode run my_case
+    phantomnode new my_part --from part.dxf --unit mm && phantomnode check my_part
+    ```
+    """
+
+    def command(console: Console) -> int:
+        from shlex import quote
+
+        if from_ is None:
+            from phantomnode.pipeline.starter import write_starter
+
+            if unit or layer or without_layer:
+                from phantomnode.pipeline.errors import CaseError
+
+                raise CaseError("--unit, --layer and --without-layer belong to a file: give it with --from")
+            folder, copied = write_starter(Path(name)), "disc.dxf"
+        else:
+            from phantomnode.pipeline.adoption import write_case_for
+
+            folder, copied = write_case_for(Path(name), from_, unit, layer, without_layer), from_.name
+        console.print(f"Wrote {folder / 'case.toml'} and {folder / copied}.", highlight=False, soft_wrap=True)
+        then = "run" if from_ is None else "check"
+        console.print(f"Next:  phantomnode {then} {quote(name)}", highlight=False, soft_wrap=True)
+        return DONE
+
+    return guarded(command)
