@@ -11,19 +11,23 @@ from phantomnode.geometry.scripts import cleaned
 
 WORDS = {
     "step": "STEP", "iges": "IGES", "brep": "BREP", "xao": "XAO", "msh": "gmsh mesh", "geo": "gmsh script",
-    "dxf": "DXF",
+    "dxf": "DXF", "svg": "SVG", "wkt": "WKT", "geojson": "GeoJSON",
 }  # fmt: skip
 SUFFIXES = {"step": ".step", "iges": ".igs", "brep": ".brep", "xao": ".xao", "msh": ".msh", "geo": ".geo"}
 
 _FOREIGN = (
     (rb"AC10\d\d", "a DWG drawing: save it as DXF"),
     (rb"%PDF|%!PS", "a PDF or PostScript drawing: export DXF"),
-    (rb"(?s)\s*(<\?xml.*?)?<svg", "an SVG drawing: export DXF"),
     (rb"solid\s", "an STL surface, which is 3D: export the outline as DXF or STEP"),
     (rb"# vtk|(?s:.{0,200})<VTKFile", "a VTK file: save the outline as DXF or STEP, or the mesh as .msh"),
     (rb"PK\x03\x04|\x1f\x8b", "a compressed archive: unpack it"),
 )
 """Other formats, by how they begin, and what to do instead."""
+
+_WKT = (
+    r"(SRID=\d+;\s*)?((MULTI)?(POLYGON|LINESTRING|POINT)|GEOMETRYCOLLECTION|CIRCULARSTRING|(COMPOUND|MULTI)CURVE|"
+    r"CURVEPOLYGON|MULTISURFACE)\s*(Z|M|ZM)?\s*(\(|EMPTY)"
+)
 
 _SCRIPT = re.compile(
     r"^\s*(SetFactory|Point|Line|Circle|Ellipse|Spline|BSpline|Bezier|Curve|Rectangle|Disk|Surface|Plane|Physical|"
@@ -74,14 +78,20 @@ def _kind(content: bytes) -> str:
         return "iges"
     if content.startswith(BINARY) or re.match(r"(?>999[^\S\n]*\n[^\n]*\n\s*)*0\s*\n\s*SECTION\b", head):
         return "dxf"
+    if "<svg" in head and re.match(r"<(\?xml|!DOCTYPE|!--|svg\b)", head):
+        return "svg"
+    if re.match(_WKT, head, re.IGNORECASE) and "{" not in head:  # as in "Point(1) = {...};" of a script
+        return "wkt"
+    if head.startswith("{") and '"type"' in head:
+        return "geojson"
     for pattern, what in _FOREIGN:
         if re.match(pattern, content):
             raise GeometryError(f"this is {what}")
     if b"\0" not in content and _SCRIPT.search(cleaned(content.decode("utf-8", errors="replace"))):
         return "geo"
     raise GeometryError(
-        "the content is of no known kind; geometry is read from DXF, STEP, IGES, BREP, XAO, gmsh "
-        "scripts (.geo) and gmsh meshes (.msh)"
+        "the content is of no known kind; geometry is read from DXF, SVG, STEP, IGES, BREP, XAO, "
+        "gmsh scripts (.geo), gmsh meshes (.msh), WKT and GeoJSON"
     )
 
 

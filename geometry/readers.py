@@ -39,10 +39,10 @@ def read_geometry(
 ) -> Geometry:
     """Read the regions and curves of a planar CAD file.
 
-    DXF (ASCII or binary), STEP, IGES, BREP, XAO, gmsh scripts (.geo, .geo_unrolled) and gmsh meshes (.msh 2.2 and
-    4.1, whose lines and outer edges count). Straight lines and circular arcs stay exact; ellipses and splines become
-    polygons within 1e-6 of the drawing's diagonal. Closed chains become regions with their holes unless the file
-    itself has faces; then these are the regions, and other curves are kept as curves.
+    DXF (ASCII or binary), SVG, STEP, IGES, BREP, XAO, gmsh scripts (.geo, .geo_unrolled), gmsh meshes (.msh 2.2 and
+    4.1, whose lines and outer edges count), WKT and GeoJSON. Straight lines and circular arcs stay exact; ellipses
+    and splines become polygons within 1e-6 of the drawing's diagonal. Closed chains become regions with their holes
+    unless the file itself has faces; then these are the regions, and other curves are kept as curves.
 
     Parameters
     ----------

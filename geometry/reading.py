@@ -21,14 +21,13 @@ def geometry(content: bytes, wanted: dict[str, Any], time_limit: float) -> Geome
     file = recognised(content)
     if wanted["unit"] is not None:
         metres(wanted["unit"])
-    if file.kind == "dxf":
-        found = _dxf(file, wanted, time_limit)
-    elif wanted["layers"] or wanted["without_layers"]:
+    if file.kind != "dxf" and (wanted["layers"] or wanted["without_layers"]):
         raise GeometryError(
             f"this is a {WORDS[file.kind]} file; only DXF drawings have layers to choose from"
         )
-    else:
-        found = _by_gmsh(file, wanted)
+    if file.kind not in SUFFIXES and (wanted["face"] is not None or wanted["section"] is not None):
+        raise GeometryError(f"a {WORDS[file.kind]} file has no faces or solids; leave face and section out")
+    found = _read(file, wanted, time_limit)
     if not found.regions and not found.curves:
         raise GeometryError("the file holds no curve of any length")
     said = [*found.notes, *notes(found.findings, found.unit)]
@@ -54,13 +53,22 @@ def quads(content: bytes, unit: str | None) -> dict[str, Any]:
     return {"xy": (xy * factor).tolist(), "quads": cells.tolist()}
 
 
-def _dxf(file: File, wanted: dict[str, Any], time_limit: float) -> Geometry:
-    """A DXF drawing."""
-    if wanted["face"] is not None or wanted["section"] is not None:
-        raise GeometryError("a DXF drawing has no faces or solids; leave face and section out")
-    from phantomnode.geometry.dxf import read_dxf
+def _read(file: File, wanted: dict[str, Any], time_limit: float) -> Geometry:
+    """What is in a file, by the reader of its kind."""
+    unit = wanted["unit"]
+    if file.kind == "dxf":
+        from phantomnode.geometry.dxf import read_dxf
 
-    return read_dxf(file.content, wanted["unit"], time_limit, wanted["layers"], wanted["without_layers"])
+        return read_dxf(file.content, unit, time_limit, wanted["layers"], wanted["without_layers"])
+    if file.kind == "svg":
+        from phantomnode.geometry.svg import read_svg
+
+        return read_svg(file.content, unit)
+    if file.kind in ("wkt", "geojson"):
+        from phantomnode.geometry.features import read_features
+
+        return read_features(file.text, file.kind, unit)
+    return _by_gmsh(file, wanted)
 
 
 def _by_gmsh(file: File, wanted: dict[str, Any]) -> Geometry:
