@@ -85,6 +85,10 @@ def damage_told() -> Iterator[None]:
     """Say of gmsh's own errors that the file is damaged: what was asked for is not in what it read."""
     try:
         yield
+    except UnicodeDecodeError as error:  # of gmsh's module, which takes all texts for UTF-8
+        raise GeometryError(
+            "a name or word in it is not UTF-8: the file is damaged, or save it as UTF-8"
+        ) from error
     except Exception as error:
         if type(error) is not Exception:  # gmsh raises no other
             raise

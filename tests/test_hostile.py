@@ -105,6 +105,16 @@ def test_a_mesh_that_begins_with_blanks_or_a_mark_is_read(tmp_path: Path) -> Non
         assert read_geometry(path, "m").regions[0].area == pytest.approx(1.0, rel=1e-12)
 
 
+def test_a_name_of_another_encoding_is_told(tmp_path: Path) -> None:
+    square = (
+        "occ.addRectangle(0, 0, 0, 1, 1); occ.synchronize(); model.addPhysicalGroup(2, [1], name='Traeger')\n"
+    )
+    (path,) = by_gmsh(tmp_path, square + "mesh.generate(2)", "m.msh")
+    path.write_bytes(path.read_bytes().replace(b"Traeger", "Träger".encode("latin-1")))
+    with pytest.raises(GeometryError, match="a name or word in it is not UTF-8"):
+        read_geometry(path, "m")
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes in the file system are POSIX")
 def test_pipes_and_huge_files_are_refused_unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe.step")

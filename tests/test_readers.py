@@ -13,6 +13,7 @@ from cad import by_gmsh, read_here
 from phantomnode.geometry.curves import Curve, Geometry, arc_centre
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.gmsh_reader import GMSH_LIBRARIES
+from phantomnode.geometry.levelset import LevelSet
 from phantomnode.geometry.readers import read_geometry, read_quads
 from phantomnode.geometry.scripts import cleaned, objection
 
@@ -72,6 +73,35 @@ def test_a_circle_of_four_built_in_arcs_is_exact(tmp_path: Path) -> None:
 def test_a_dxf_circle_is_exact_and_its_unit_is_in_the_file(tmp_path: Path) -> None:
     path = drawing(tmp_path / "c.dxf", lambda space: space.add_circle((500, 920), 400))
     check_circle(read_geometry(path), (0.5, 0.92), 0.4)
+
+
+SCRIPTED = """Point(1) = {500, 920, 0}; Point(2) = {900, 920, 0}; Point(3) = {500, 1320, 0}; Point(4) = {100, 920, 0};
+Point(5) = {500, 520, 0};
+Circle(1) = {2, 1, 3}; Circle(2) = {3, 1, 4}; Circle(3) = {4, 1, 5}; Circle(4) = {5, 1, 2};
+Curve Loop(1) = {1:4}; Plane Surface(1) = {1};
+"""
+DRAWN = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 2000 2000"><circle cx="500" cy="1080" r="400"/></svg>'
+
+
+@pytest.mark.parametrize(
+    "name", ["c.dxf", "c.step", "c.geo", "occ.geo", "c.igs", "c.brep", "c.xao", "c.svg", "cut.step"]
+)
+def test_the_level_set_of_a_circle_is_exact_from_every_format(tmp_path: Path, name: str) -> None:
+    path, section = tmp_path / name, None
+    if name == "c.dxf":
+        drawing(path, lambda space: space.add_circle((500, 920), 400))
+    elif name in ("c.geo", "occ.geo", "c.svg"):
+        occ = 'SetFactory("OpenCASCADE"); Disk(1) = {500, 920, 0, 400};'
+        path.write_text({"c.geo": SCRIPTED, "occ.geo": occ, "c.svg": DRAWN}[name])
+    elif name == "cut.step":
+        section = ("z", 0.03)
+        by_gmsh(tmp_path, "occ.addCylinder(500, 920, 0, 0, 0, 100, 400); occ.synchronize()", name)
+    else:
+        by_gmsh(tmp_path, CIRCLE, name)
+    (region,) = read_geometry(path, "mm", section=section).regions
+    places = np.random.default_rng(7).uniform(-1.0, 3.0, (2000, 2))
+    found = LevelSet.of_regions([region]).distance(places)
+    assert np.abs(found - (0.4 - np.hypot(*(places - [0.5, 0.92]).T))).max() < EXACT
 
 
 def test_the_content_decides_and_not_the_name(tmp_path: Path) -> None:
