@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.one_case import DONE
 from phantomnode.pipeline.outputs import CASE_COLUMNS, SCALARS, known_outputs, output_of
+from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render, titled
 from phantomnode.pipeline.results import open_results
 
@@ -104,15 +105,17 @@ def cases_page(title: str, cases: Sequence[Compared], home: Path, drawn: Sequenc
         *_plots(home),
         *_gallery(cases),
     ]
+    laid = overlay({case.name: case.folder for case in cases})
     return render(
         "cases.html",
-        {"comparison": _comparison(cases)},
+        {"comparison": _comparison(cases), "overlay": laid},
         title=title,
         trusted=done == len(cases) and not doubtful,
         headline=f"{done} of {len(cases)} cases are done.",
         lead=lead or ("All kept their checks." if done == len(cases) else ""),
         axes=varied,
         comparison=done > 0,
+        overlay_note=laid["note"] if laid else "",
         table=table_of(cases, home),
         troubles=[
             {"name": case.name, "text": f"{case.status}: {case.reason}"} for case in cases if case.reason
@@ -127,8 +130,8 @@ def table_of(cases: Sequence[Compared], home: Path) -> Table:
     outputs = [name for name in _outputs(cases) if name.startswith(SHOWN)]
     rows = []
     for case in cases:
-        link = f"{case.folder.name}/{PAGE}" if case.folder.parent == home else ""
-        name = Cell(case.name, "", link if link and (case.folder / PAGE).is_file() else "")
+        beside = case.folder != home and case.folder.is_relative_to(home) and (case.folder / PAGE).is_file()
+        name = Cell(case.name, "", f"{case.folder.relative_to(home).as_posix()}/{PAGE}" if beside else "")
         row = [_cell(case.inputs[name]) for name in axes]
         row.append(Cell(case.status, "good" if case.status == DONE else "look"))
         row.append(_checks(case.doubts))

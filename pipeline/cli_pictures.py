@@ -15,11 +15,13 @@ if TYPE_CHECKING:
 Folder = Annotated[Path, Parameter(name="DIR", help="The results folder of a run.")]
 Limits = Annotated[
     tuple[float, float] | None,
-    Parameter(name="--range", help="Values at the ends of the colour bar, SI, as in --range 0 5e8."),
+    Parameter(
+        name="--range", negative=(), help="Values at the ends of the colour bar, SI, as in --range 0 5e8."
+    ),
 ]
 Zoom = Annotated[
     tuple[float, float, float, float] | None,
-    Parameter(help="What is shown: lower left and upper right corner, x0 y0 x1 y1 in m."),
+    Parameter(negative=(), help="What is shown: lower left and upper right corner, x0 y0 x1 y1 in m."),
 ]
 
 
@@ -32,7 +34,8 @@ def plot(
         Parameter(
             consume_multiple=True,
             negative=(),
-            help="Pictures: fields (von_mises, J, stress_xx, stress_yy, stress_zz, stress_xy, mean_stress, "
+            show_default=False,
+            help="Pictures, von_mises unless given: fields (von_mises, J, stress_xx, stress_yy, stress_zz, stress_xy, mean_stress, "
             "principal_max, principal_min, strain_xx, strain_yy, strain_xy, displacement, velocity, each of these "
             "two with _x or _y), contact_pressure over arc length, histories (energies, forces, reactions, motion, "
             "quality, or any column of history.csv), level_set (with grid and relocated nodes), nodes (fragments, "
@@ -44,8 +47,10 @@ def plot(
         Parameter(
             consume_multiple=True,
             negative=(),
-            help='Of fields and contact_pressure: "4.5 ms" or 0.0045, start, peak (of the internal energy), end; '
-            "several give a picture of a field each, and curves of the pressure in one. The nearest frame is drawn.",
+            show_default=False,
+            help='Of fields and contact_pressure: "4.5 ms" or 0.0045, start, end, or peak (of the internal energy), '
+            "which is taken unless given; several give a picture of a field each, and curves of the pressure in "
+            "one. The nearest frame is drawn.",
         ),
     ] = ("peak",),
     out: Annotated[

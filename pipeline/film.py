@@ -13,6 +13,7 @@ import numpy as np
 from phantomnode.pipeline.drawing import DPI
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.field_pictures import FieldPicture, Limits, limits_of, view_box
+from phantomnode.pipeline.plot import box_from, limits_from
 from phantomnode.pipeline.quantities import quantity
 from phantomnode.pipeline.results import Results
 
@@ -68,15 +69,16 @@ def write_film(
         raise CaseError(f"--fps {fps}: must lie between 1 and 100")
     if not WIDTHS[0] <= width <= WIDTHS[1]:
         raise CaseError(f"--width {width}: must lie between {WIDTHS[0]} and {WIDTHS[1]} pixels")
-    field, writer = quantity(what), _writer(path, fps)
+    field, writer, corners, span = quantity(what), _writer(path, fps), box_from(box), limits_from(limits)
     frames = list(results.frames())
     if not frames:
         raise CaseError(f"{results.path}: no frame is written yet")
-    if limits is None:
+    if span is None:
         spans = np.array([limits_of(field.values(frame), field) for frame in frames])
-        limits = (float(spans[:, 0].min()), float(spans[:, 1].max()))
-    corners = view_box(*frames) if box is None else np.array(box, dtype=np.float64).reshape(2, 2)
-    picture = FieldPicture(frames[0], what, results.title, limits=Limits(*limits), box=corners)
+        span = Limits(float(spans[:, 0].min()), float(spans[:, 1].max()))
+    if corners is None:
+        corners = view_box(*frames)
+    picture = FieldPicture(frames[0], what, results.title, limits=span, box=corners)
     _even(picture, width)
     picture.figure.canvas.draw()
     picture.figure.set_layout_engine("none")  # as it is now, in all frames

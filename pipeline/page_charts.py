@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,13 +15,19 @@ from phantomnode.pipeline.curve_pictures import (
     start_of,
     surfaces_of,
     touched_range,
+    unit_of,
     unrolled,
 )
 from phantomnode.pipeline.drawing import readable
 from phantomnode.pipeline.packing import packed
-from phantomnode.pipeline.results import Results
+from phantomnode.pipeline.results import History, Results
 
 Floats = NDArray[np.float64]
+
+OVERLAID = 24
+"""Runs whose histories are laid over each other: more curves are not told apart."""
+OVERLAY_BUDGET = 2_500_000
+"""Bytes of the histories that are laid over each other, before they are packed."""
 
 
 def chart(title: str, x: Floats, x_label: str, y_label: str, curves: Mapping[str, Floats]) -> dict[str, Any]:
@@ -48,6 +55,45 @@ def history_charts(results: Results) -> list[dict[str, Any]]:
             title = label[0].upper() + label[1:]
             charts.append(chart(title, time * factor, f"time, {unit}", shown, scaled))
     return charts
+
+
+def overlay(runs: Mapping[str, Path]) -> dict[str, Any] | None:
+    """The columns of history.csv that several runs have in common, as data for one chart over all of them.
+
+    Of long histories every so-maniest row is taken, so that the page stays small, and of many runs the first.
+    None where fewer than two runs have a history.
+    """
+    files = {name: folder / "history.csv" for name, folder in runs.items()}
+    there = {name: file for name, file in files.items() if file.is_file()}
+    histories = {name: History(file) for name, file in list(there.items())[:OVERLAID]}
+    histories = {name: history for name, history in histories.items() if len(history.time) > 1}
+    if len(histories) < 2:
+        return None
+    first, *others = histories.values()
+    columns = [name for name in first if name != "time" and all(name in other for other in others)]
+    numbers = sum(len(history.time) for history in histories.values()) * (len(columns) + 1)
+    every = -(-4 * numbers // OVERLAY_BUDGET)
+    factor, unit = readable(max(float(history.time[-1]) for history in histories.values()), "s")
+    return {
+        "xLabel": f"time, {unit}",
+        "note": _overlay_note(every, len(histories), len(there)),
+        "columns": [f"{name}, {si}" if (si := unit_of(name)) else name for name in columns],
+        "runs": [
+            {
+                "name": name,
+                "x": packed((history.time[::every] * factor).astype(np.float32)),
+                "values": [packed(history[column][::every].astype(np.float32)) for column in columns],
+            }
+            for name, history in histories.items()
+        ],
+    }
+
+
+def _overlay_note(every: int, shown: int, there: int) -> str:
+    """What the chart leaves out."""
+    rows = f", one row in {every}" if every > 1 else ""
+    runs = f" Shown are the first {shown} of {there}." if shown < there else ""
+    return f"Of each run its history.csv{rows}; a click on a name hides its curve.{runs}"
 
 
 def pressure_charts(results: Results, times: Sequence[float]) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phantomnode.pipeline.curve_pictures import HISTORIES, draw_history, draw_pressure
 from phantomnode.pipeline.drawing import FORMATS, moment, save
@@ -54,9 +55,8 @@ def picture(
     CaseError
         Naming the pictures that there are.
     """
-    corners = None if box is None else np.array(box, dtype=np.float64).reshape(2, 2)
+    corners, span = box_from(box), limits_from(limits)
     if what in QUANTITIES:
-        span = None if limits is None else Limits(*limits)
         return draw_field(results.frame(times[0]), what, results.title, limits=span, box=corners)
     if what == PRESSURE:
         if not results.pairs:
@@ -74,6 +74,39 @@ def picture(
         f"--what {what}: is no picture{suggestion(what, (*known, *results.history))}; there are: {listed(known)}, "
         "and the columns of history.csv"
     )
+
+
+def box_from(box: Sequence[float] | None) -> NDArray[np.float64] | None:
+    """(2, 2) Corners of what is shown, from x0, y0, x1, y1; None for all.
+
+    Raises
+    ------
+    CaseError
+        Where they span no area.
+    """
+    if box is None:
+        return None
+    corners = np.array(box, dtype=np.float64).reshape(2, 2)
+    if not np.all(corners[0] < corners[1]):
+        raise CaseError(
+            f"--zoom {' '.join(f'{value:g}' for value in box)}: write x0 y0 x1 y1 with x0 < x1, y0 < y1"
+        )
+    return corners
+
+
+def limits_from(limits: tuple[float, float] | None) -> Limits | None:
+    """The values at the ends of the colours; None for those of the field.
+
+    Raises
+    ------
+    CaseError
+        Where the first is not below the second.
+    """
+    if limits is None:
+        return None
+    if not limits[0] < limits[1]:
+        raise CaseError(f"--range {limits[0]:g} {limits[1]:g}: the first value must be below the second")
+    return Limits(*limits)
 
 
 def plot_files(
@@ -134,9 +167,12 @@ def parse_time(text: str) -> Time:
             number, unit = clean.removesuffix(suffix), suffix
             break
     try:
-        return float(number) * SECONDS[unit]
+        time = float(number) * SECONDS[unit]
     except ValueError:
-        raise CaseError(f'--time {text}: write seconds, "4.5 ms", or {listed(NAMED)}') from None
+        time = np.nan
+    if not np.isfinite(time):
+        raise CaseError(f'--time {text}: write seconds, "4.5 ms", or {listed(NAMED)}')
+    return time
 
 
 def _path_of(

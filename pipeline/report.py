@@ -9,6 +9,7 @@ from phantomnode.pipeline.cases_page import PAGE, cases_page, compared_cases, co
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.figures import draw_figures
 from phantomnode.pipeline.files import write_atomically
+from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.profile import draw_profiles
 from phantomnode.pipeline.results import VARIANTS, open_results
 from phantomnode.pipeline.run_page import run_page
@@ -18,6 +19,8 @@ COMPARISON = "comparison.html"
 
 def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
     """Write the page of a run or a batch with its figures, or one that compares runs, and profiles over each other.
+
+    The variants of a run get pages in their own folders.
 
     Parameters
     ----------
@@ -29,7 +32,7 @@ def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
     Returns
     -------
     list of Path
-        The page, then the pictures.
+        The page, those of the variants of a run, and the pictures.
 
     Raises
     ------
@@ -49,10 +52,14 @@ def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
     if len(folders) > 1:
         text = cases_page("Runs beside each other", compared_runs(runs), out, profiles)
         return [_written(out / COMPARISON, text), *profiles]
-    variants = table_of(compared_runs(runs), folders[0]) if len(runs) > 1 else None
-    pictures = [*draw_figures(folders[0], out), *profiles]
-    text = run_page(open_results(folders[0]), pictures, variants)
-    return [_written(out / PAGE, text), *pictures]
+    (main, *variants) = runs.values()
+    pictures = [*draw_figures(main, out), *profiles]
+    pages = [_written(variant / PAGE, run_page(open_results(variant))) for variant in variants]
+    table, laid = None, None
+    if variants:
+        table, laid = table_of(compared_runs(runs), main), overlay(runs)
+    text = run_page(open_results(main), pictures, table, laid)
+    return [_written(out / PAGE, text), *pages, *pictures]
 
 
 def report_runs(folders: Sequence[Path], out: Path) -> list[Path]:

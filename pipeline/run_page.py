@@ -13,6 +13,7 @@ from phantomnode.pipeline.curve_pictures import draw_pressure
 from phantomnode.pipeline.drawing import moment, readable
 from phantomnode.pipeline.field_pictures import draw_field
 from phantomnode.pipeline.messages import shown
+from phantomnode.pipeline.packing import Packed
 from phantomnode.pipeline.page_charts import history_charts, pressure_charts
 from phantomnode.pipeline.pages import Picture, Table, picture_in, picture_of, render, titled
 from phantomnode.pipeline.results import Results
@@ -28,7 +29,9 @@ UNENDED = Finding(
 )
 
 
-def run_page(results: Results, drawn: Sequence[Path] = (), variants: Table | None = None) -> str:
+def run_page(
+    results: Results, drawn: Sequence[Path] = (), variants: Table | None = None, laid: Packed | None = None
+) -> str:
     """The page.
 
     Parameters
@@ -38,6 +41,8 @@ def run_page(results: Results, drawn: Sequence[Path] = (), variants: Table | Non
         Figures and profiles of the run and its variants.
     variants : Table, optional
         The run and its variants beside each other.
+    laid : dict, optional
+        Their histories over each other, of :func:`phantomnode.pipeline.page_charts.overlay`.
 
     Raises
     ------
@@ -52,6 +57,7 @@ def run_page(results: Results, drawn: Sequence[Path] = (), variants: Table | Non
         "view": view,
         "start": view["start"] if view else 0,
         "histories": history_charts(results),
+        "overlay": laid,
         "pressures": pressure_charts(results, times),
     }
     return render(
@@ -70,6 +76,7 @@ def run_page(results: Results, drawn: Sequence[Path] = (), variants: Table | Non
         frames=len(results.times),
         pictures=[*_pictures(results), *(picture_in(file, titled(file)) for file in drawn)],
         variants=variants,
+        overlay_note=laid["note"] if laid else "",
         timings=list(_timings(figures)),
         provenance=list(_provenance(results)),
         case_file=(results.path / "case.toml").read_text(encoding="utf-8"),

@@ -19,6 +19,7 @@ from phantomnode.pipeline.cases_page import compared_cases
 from phantomnode.pipeline.cli import app
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.packing import packed, quantised
+from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.report import write_report
 from phantomnode.pipeline.trust import findings, trusted
 from phantomnode.pipeline.view_data import BUDGET, chosen, view_data
@@ -219,6 +220,25 @@ class TestPages:
         assert page.name == "comparison.html"
         assert "2 of 2 cases are done" in page.read_text(encoding="utf-8")
 
+    def test_histories_of_runs_are_laid_over_each_other(self, run_folder):
+        laid = overlay({"a": run_folder, "b": run_folder, "none": run_folder / "fields"})
+        history = open_results(run_folder).history
+        assert [run["name"] for run in laid["runs"]] == ["a", "b"]
+        assert laid["columns"][0] == "kinetic, J/m" and "contact.landing.fy, N/m" in laid["columns"]
+        np.testing.assert_allclose(unpacked(laid["runs"][1]["values"][0]), history["kinetic"], rtol=1e-6)
+        np.testing.assert_allclose(unpacked(laid["runs"][0]["x"]), 1e3 * history.time, rtol=1e-6)
+        assert overlay({"a": run_folder}) is None
+
+    def test_variants_get_pages_and_links_to_them(self, run_folder, tmp_path):
+        folder = tmp_path / "main"
+        shutil.copytree(run_folder, folder)
+        shutil.copytree(run_folder, folder / "variants" / "softer")
+        page, variant = write_report([folder], folder)
+        assert variant == folder / "variants" / "softer" / "report.html" and variant.is_file()
+        text = page.read_text(encoding="utf-8")
+        assert 'href="variants/softer/report.html"' in text and "one row in" not in text
+        assert [run["name"] for run in data_of(page)["overlay"]["runs"]] == ["main", "softer"]
+
     def test_a_batch_beside_a_run_is_refused(self, batch, run_folder, tmp_path):
         with pytest.raises(CaseError, match="name it alone"):
             write_report([batch, run_folder], tmp_path)
@@ -330,6 +350,9 @@ class TestInABrowser:
         opened.page.select_option("#axis", label="cell")
         opened.page.select_option("#output", label="steps")
         opened.page.check("#log-x")
+        opened.page.select_option("#column", label="contact.landing.fy, N/m")
+        opened.page.wait_for_selector("#overlay .u-title:has-text('contact.landing.fy')")
+        assert coloured(opened.pixels("#overlay canvas")) > 0.001
         assert opened.page.locator("#comparison .u-title").text_content() == "steps"
         assert coloured(opened.pixels("#comparison canvas")) > 0.0002
         assert opened.complaints == []

@@ -249,6 +249,9 @@ class TestPictures:
 
         assert "did you mean 'von_mises'?" in line("--what", "von_misses")
         assert "pictures end in .png, .svg, .pdf" in line("--out", "picture.bmp")
+        assert "--zoom 0 0 1 0: write x0 y0 x1 y1" in line("--zoom", "0", "0", "1", "0")
+        assert "--range 5 1: the first value must be below" in line("--range", "5", "1")
+        assert "--time nan: write seconds" in line("--time", "nan")
         assert "no contact pair 'x'" in line("--what", "contact_pressure", "--pair", "x")
 
     def test_the_command_line_says_where_pictures_are(self, results, tmp_path, capsys):

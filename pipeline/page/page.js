@@ -408,8 +408,25 @@
     draw();
   }
 
+  // One column of the histories of several runs.
+  async function overlay(data) {
+    const column = element("column");
+    data.columns.forEach((name, k) => column.add(new Option(name, k)));
+    const times = await Promise.all(data.runs.map((run) => unpack(run.x)));
+    const draw = async () => {
+      const curves = await Promise.all(data.runs.map((run) => unpack(run.values[column.value])));
+      element("overlay").replaceChildren();
+      const series = data.runs.map((run) => ({ label: run.name, style: { spanGaps: true } }));
+      const joined = uPlot.join(curves.map((curve, k) => [times[k], curve]));
+      chart(element("overlay"), { title: data.columns[column.value], xLabel: data.xLabel, yLabel: "", series }, joined);
+    };
+    column.onchange = draw;
+    await draw();
+  }
+
   const data = JSON.parse(element("data").textContent);
   if (data.comparison) comparison(data.comparison);
+  if (data.overlay) await overlay(data.overlay);
   if (data.histories) await histories(data.histories, element("histories"));
   const showPressure = data.pressures ? await pressures(data.pressures, element("pressures")) : () => {};
   showPressure(data.start || 0);
