@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -31,6 +32,7 @@ __all__ = [
     "load_case",
     "read_toml",
     "resolved_toml",
+    "schema_text",
     "toml_of",
     "variants",
 ]
@@ -149,6 +151,11 @@ def json_schema() -> dict[str, Any]:
     """The JSON schema of a case file, for editors that complete and check TOML."""
     schema = Case.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "phantomnode case"}
+
+
+def schema_text() -> str:
+    """The schema as the content of a file that editors read."""
+    return json.dumps(json_schema(), indent=2) + "\n"
 
 
 def bundled_cases() -> dict[str, Path]:

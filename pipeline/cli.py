@@ -303,20 +303,30 @@ app.command(paraview)
 
 
 @app.command
-def schema() -> int:
+def schema(
+    *,
+    markdown: Annotated[
+        bool,
+        Parameter(negative=(), show_default=False, help="Print the reference of all keys as a page instead."),
+    ] = False,
+) -> int:
     """Print the JSON schema of a case file, for editors that complete and check TOML.
 
     For example:
 
     ```
     phantomnode schema > case.schema.json
+    phantomnode schema --markdown
     ```
     """
-    import json
+    if markdown:
+        from phantomnode.pipeline.reference import reference
 
-    from phantomnode.pipeline.case import json_schema
+        print(reference(), end="")
+        return DONE
+    from phantomnode.pipeline.case import schema_text
 
-    print(json.dumps(json_schema(), indent=2))
+    print(schema_text(), end="")
     return DONE
 
 

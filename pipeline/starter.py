@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from phantomnode.pipeline.case import schema_text
 from phantomnode.pipeline.errors import CaseError
 
 CASE = """\
+#:schema ./case.schema.json
 # A disc, drawn in disc.dxf, falls on a block. Run it with:   phantomnode run {folder}
 # To start your own: replace disc.dxf by your drawing (DXF, STEP, IGES, BREP, .geo, .msh) and run
 #   phantomnode check {folder}
@@ -70,7 +72,7 @@ def write_starter(folder: Path) -> Path:
     Returns
     -------
     Path
-        The folder, which now holds ``case.toml`` and ``disc.dxf``.
+        The folder, which now holds ``case.toml``, ``disc.dxf`` and, for editors, ``case.schema.json``.
 
     Raises
     ------
@@ -79,6 +81,7 @@ def write_starter(folder: Path) -> Path:
     """
     make_new(folder)
     _write_disc(folder / "disc.dxf")
+    (folder / "case.schema.json").write_text(schema_text(), encoding="utf-8")
     (folder / "case.toml").write_text(CASE.format(folder=folder), encoding="utf-8")
     return folder
 
