@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ import numpy as np
 from phantomnode.pipeline.drawing import DPI
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.field_pictures import FieldPicture, Limits, limits_of, view_box
+from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.plot import box_from, limits_from
 from phantomnode.pipeline.quantities import quantity
 from phantomnode.pipeline.results import Results
@@ -53,7 +54,7 @@ def write_film(
         Of the colours; those of all frames unless given.
     box : (x0, y0, x1, y1), m, optional
     console : rich Console, optional
-        Where to show the progress.
+        Where to show the progress, if it is a terminal.
 
     Returns
     -------
@@ -86,13 +87,22 @@ def write_film(
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         with writer.saving(picture.figure, part, picture.figure.dpi):
-            for frame in frames:
+            for frame in _told(frames, console):
                 picture.show(frame)
                 writer.grab_frame()
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
     return path
+
+
+def _told(frames: list[FieldsFrame], console: Console | None) -> Iterable[FieldsFrame]:
+    """The frames, with a bar on a terminal."""
+    if console is None or not console.is_terminal or console.is_dumb_terminal:
+        return frames
+    from rich.progress import track
+
+    return track(frames, "drawing frames", console=console, transient=True)
 
 
 def _even(picture: FieldPicture, width: int) -> None:

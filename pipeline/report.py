@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.profile import draw_profiles
 from phantomnode.pipeline.results import VARIANTS, open_results
 from phantomnode.pipeline.run_page import run_page
+
+LOG = logging.getLogger(__name__)
 
 COMPARISON = "comparison.html"
 
@@ -107,5 +110,7 @@ def _is_batch(folder: Path) -> bool:
 
 
 def _written(path: Path, text: str) -> Path:
+    """A page, in its file."""
     write_atomically(path, text)
+    LOG.info("%s, %.1f MB", path, path.stat().st_size / 1e6)
     return path

@@ -25,14 +25,15 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def sources() -> set[str]:
-    """What the wheel must hold: every module and every data file of the cases."""
+    """What the wheel must hold: every module, every data file of the cases and of the report pages."""
     names = ("__init__.py", "__main__.py", "kernels.py", "py.typed")
     wanted = {f"phantomnode/{name}" for name in names}
     for package in ("geometry", "solver", "pipeline", "cases"):
         wanted |= {f"phantomnode/{package}/{file.name}" for file in (ROOT / package).glob("*.py")}
     for kind in ("toml", "dxf", "step", "brep", "geo_unrolled", "msh"):
         wanted |= {f"phantomnode/{file.relative_to(ROOT)}" for file in (ROOT / "cases").glob(f"*/*.{kind}")}
-    return wanted
+    pages = [file for file in (ROOT / "pipeline" / "page").rglob("*") if file.is_file()]
+    return wanted | {f"phantomnode/{file.relative_to(ROOT).as_posix()}" for file in pages}
 
 
 def test_the_wheel_holds_every_module_and_case_file(built: Path) -> None:
