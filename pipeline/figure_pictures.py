@@ -76,7 +76,8 @@ def _fields(figure: Figure, runs: Sequence[Shown]) -> Drawn:
     across = _columns(len(runs), len(figure.times))
     down = math.ceil(len(frames) / across)
     shape = float((box[1, 1] - box[0, 1]) / (box[1, 0] - box[0, 0]))
-    picture = new_figure(WIDTH, (PANELS / across * shape + 0.45) * down + 0.8)
+    size = 1.0 if across > 1 else 0.6
+    picture = new_figure(size * WIDTH, (size * PANELS / across * shape + 0.45) * down + 0.8)
     picture.set_layout_engine("compressed")  # panels of one scale leave no room between them
     panels = picture.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
     colours = MAPS["magnitude" if limits.low * limits.high > 0.0 else what.kind]
