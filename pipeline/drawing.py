@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,11 +37,26 @@ PREFIXED = ("Pa", "m", "s", "N/m", "J/m")
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure of so many inches, drawn without a screen; notebooks show it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
+    figure = _shown_figure()(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+@cache
+def _shown_figure() -> type[Figure]:
+    """Figures that a notebook shows, also where pyplot was never imported, which else sees to it."""
+    from matplotlib.figure import Figure
+
+    class ShownFigure(Figure):
+        """A figure that is its own picture."""
+
+        def _repr_png_(self) -> bytes:
+            content = BytesIO()
+            self.savefig(content, format="png", bbox_inches="tight", dpi=0.6 * DPI)
+            return content.getvalue()
+
+    return ShownFigure
 
 
 def map_figure(box: Floats, width: float = 9.0, pictures: int = 1) -> tuple[Figure, list[Axes]]:

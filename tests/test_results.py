@@ -139,6 +139,7 @@ class TestArrays:
         assert "A &lt;small&gt; disc &amp; a floor" in page
         assert "energy error" in page and "data:image/png;base64," in page
         assert "small" in repr(results)
+        assert results.plot("energies")._repr_png_().startswith(b"\x89PNG")
 
 
 @pytest.fixture(scope="module")
