@@ -38,8 +38,8 @@ def read_svg(content: bytes, unit: str | None) -> Geometry:
 
     Paths and basic shapes with all transforms. Lines and circular arcs stay exact, elliptical ones and Bezier curves
     become polygons within 1e-6 of the diagonal. The id of an element names its pieces. Where the width of the drawing
-    is given in mm, cm or in, it has the size it says; else, or where ``unit`` is given, its numbers count. Lengths
-    within it that have units of their own are right to 5e-7 (svgelements takes an inch for 25.39999 mm).
+    is given in mm, cm or in, it has the size it says; else, or where ``unit`` is another one, its numbers count.
+    Lengths within it that have units of their own are right to 5e-7 (svgelements takes an inch for 25.39999 mm).
 
     Raises
     ------
@@ -60,7 +60,7 @@ def read_svg(content: bytes, unit: str | None) -> Geometry:
             )
         size = float(np.hypot(*(boxes[:, 2:].max(axis=0) - boxes[:, :2].min(axis=0))))
         pieces = [curve for path, label in paths for curve in _curves(path, label, size)]
-    found = assemble([piece.scaled(metres(name) if unit is not None else scale) for piece in pieces])
+    found = assemble([piece.scaled(scale if name == own else metres(name)) for piece in pieces])
     left = (f"left out: {_listed(left_out)}",) if left_out else ()
     return replace(found, notes=(*notes, *left, *found.notes), unit=name)
 

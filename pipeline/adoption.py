@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -76,6 +77,8 @@ def write_case_for(
     unit: str | None = None,
     layers: Sequence[str] = (),
     without_layers: Sequence[str] = (),
+    face: str | int | None = None,
+    section: tuple[str, float] | None = None,
 ) -> Path:
     """Write a case in which the regions of a geometry file fall on a rigid plane, into a new folder.
 
@@ -88,29 +91,33 @@ def write_case_for(
         Unit of the file; its own unless given.
     layers, without_layers : sequence of str
         Layers of a DXF drawing that alone count, or that do not.
+    face : str or int, optional
+    section : (str, float), optional
+        What to take of a 3D part, as :func:`phantomnode.geometry.readers.read_geometry` does.
 
     Raises
     ------
     CaseError, GeometryError
         If the folder holds anything already, or no body can be made of the file.
     """
-    geometry = read_geometry(file, unit, layers=layers, without_layers=without_layers)
+    geometry = read_geometry(
+        file, unit, layers=layers, without_layers=without_layers, face=face, section=section
+    )
     if geometry.wrong:
         raise OutlineError(f"{file}: {complaint(geometry.findings, geometry.unit)}", geometry)
     if not geometry.regions:
         raise CaseError(
             f"{file}: holds no closed outline, and a body needs one; look: phantomnode inspect {file}"
         )
-    text = _case(folder, file.name, geometry, layers, without_layers)
+    wanted = {"layers": layers, "without_layers": without_layers, "face": face, "section": section}
+    text = _case(folder, file.name, geometry, wanted)
     make_new(folder)
     shutil.copyfile(file, folder / file.name)
     (folder / "case.toml").write_text(text, encoding="utf-8")
     return folder
 
 
-def _case(
-    folder: Path, file: str, geometry: Geometry, layers: Sequence[str], without_layers: Sequence[str]
-) -> str:
+def _case(folder: Path, file: str, geometry: Geometry, wanted: Mapping[str, Any]) -> str:
     """The text of the case file."""
     order = sorted(range(len(geometry.regions)), key=lambda k: -geometry.regions[k].area)[:MOST_BODIES]
     names = _names([geometry.regions[k] for k in order])
@@ -121,9 +128,7 @@ def _case(
     fall = max(float(box[0, 1] - low[1]) for box in boxes) + gap
     end = _rounded(fall / SPEED + 8.0 * float(np.max(high - low)) / WAVE)
     options = f'file = "{file}", unit = "{geometry.unit}"' + "".join(
-        f", {key} = [{', '.join(map(_quoted, chosen))}]"
-        for key, chosen in (("layers", layers), ("without_layers", without_layers))
-        if chosen
+        f", {key} = {_value(chosen)}" for key, chosen in wanted.items() if chosen
     )
     several = len(order) > 1
     parts = [
@@ -145,6 +150,15 @@ def _case(
     parts.append(FLOOR.format(left=low[0] - margin, right=high[0] + margin, height=low[1] - gap))
     parts += [CONTACT.format(name=name) for name in names]
     return "".join((*parts, OUTPUT))
+
+
+def _value(chosen: Any) -> str:
+    """A choice of layers, a face or a section as TOML."""
+    if isinstance(chosen, tuple) and isinstance(chosen[-1], float):
+        return f'{{ axis = "{chosen[0]}", at = {chosen[1]!r} }}'
+    if isinstance(chosen, int):
+        return str(chosen)
+    return _quoted(chosen) if isinstance(chosen, str) else f"[{', '.join(map(_quoted, chosen))}]"
 
 
 def _remarks(geometry: Geometry, bodies: int) -> str:

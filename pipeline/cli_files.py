@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -30,6 +31,13 @@ WithoutLayers = Annotated[
         help="A layer of a DXF drawing that does not count; can be repeated.",
     ),
 ]  # fmt: skip
+FaceOption = Annotated[
+    str | None, Parameter(name="--face", help="Name or number of the flat face of a 3D part to take.")
+]
+SectionOption = Annotated[
+    str | None,
+    Parameter(name="--section", help='Where to cut the solids of a 3D part, in metres: "z=0.005".'),
+]
 Trust = Annotated[
     bool,
     Parameter(negative=(), show_default=False, help="Run commands in a .geo script (it can do anything)."),
@@ -37,12 +45,16 @@ Trust = Annotated[
 
 
 def inspect(
-    file: Annotated[Path, Parameter(name="FILE", help="DXF, STEP, IGES, BREP, XAO, .geo or .msh.")],
+    file: Annotated[
+        Path, Parameter(name="FILE", help="DXF, SVG, STEP, IGES, BREP, XAO, .geo, .msh, WKT or GeoJSON.")
+    ],
     /,
     *,
     unit: UnitOption = None,
     layer: Layers = (),
     without_layer: WithoutLayers = (),
+    face: FaceOption = None,
+    section: SectionOption = None,
     trust_scripts: Trust = False,
     out: Annotated[
         Path | None, Parameter(help="The picture, a .png file; results/inspect/FILE.png unless given.")
@@ -55,6 +67,7 @@ def inspect(
     ```
     phantomnode inspect part.dxf
     phantomnode inspect part.dxf --unit mm --without-layer "dim*"
+    phantomnode inspect part.step --section z=0.005
     ```
     """
 
@@ -64,8 +77,9 @@ def inspect(
         from phantomnode.pipeline.inspection import inspect_file, report
 
         found = inspect_file(
-            file, unit, layers=layer, without_layers=without_layer, trust_scripts=trust_scripts
-        )
+            file, unit, layers=layer, without_layers=without_layer, trust_scripts=trust_scripts,
+            **_part(face, section),
+        )  # fmt: skip
         picture = out or Path("results") / "inspect" / f"{file.name}.png"
         make_folder(picture.parent)
         draw_geometry(found.geometry, picture, file.name)
@@ -87,6 +101,8 @@ def new(
     unit: UnitOption = None,
     layer: Layers = (),
     without_layer: WithoutLayers = (),
+    face: FaceOption = None,
+    section: SectionOption = None,
 ) -> int:
     """Write a commented starter case: a disc from a DXF drawing falls on a block, or your drawing falls on a plane.
 
@@ -104,18 +120,34 @@ def new(
         if from_ is None:
             from phantomnode.pipeline.starter import write_starter
 
-            if unit or layer or without_layer:
+            if unit or layer or without_layer or face or section:
                 from phantomnode.pipeline.errors import CaseError
 
-                raise CaseError("--unit, --layer and --without-layer belong to a file: give it with --from")
+                raise CaseError(
+                    "--unit, --layer, --without-layer, --face and --section belong to a file: give it with --from"
+                )
             folder, copied = write_starter(Path(name)), "disc.dxf"
         else:
             from phantomnode.pipeline.adoption import write_case_for
 
-            folder, copied = write_case_for(Path(name), from_, unit, layer, without_layer), from_.name
+            part = _part(face, section)
+            folder, copied = write_case_for(Path(name), from_, unit, layer, without_layer, **part), from_.name
         console.print(f"Wrote {folder / 'case.toml'} and {folder / copied}.", highlight=False, soft_wrap=True)
         then = "run" if from_ is None else "check"
         console.print(f"Next:  phantomnode {then} {quote(name)}", highlight=False, soft_wrap=True)
         return DONE
 
     return guarded(command)
+
+
+def _part(face: str | None, section: str | None) -> dict[str, Any]:
+    """What to take of a 3D part, as readers take it."""
+    from phantomnode.pipeline.errors import CaseError
+
+    if face and section:
+        raise CaseError("--face and --section are both given; give the one to take")
+    place = re.fullmatch(r"\s*([xyz])\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*", section or "")
+    if section and place is None:
+        raise CaseError(f"--section {section}: must be an axis and a place on it in metres, such as z=0.005")
+    number = int(face) if face and face.isdecimal() else face
+    return {"face": number, "section": (place[1], float(place[2])) if place else None}

@@ -13,8 +13,9 @@ from phantomnode.geometry.curves import Region, arc_centre
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.planes import Plane, extruded_along
 from phantomnode.geometry.readers import read_geometry
+from phantomnode.pipeline import cli_files
 from phantomnode.pipeline.bodies import cut_body
-from phantomnode.pipeline.case import CaseError, case_from_table
+from phantomnode.pipeline.case import CaseError, case_from_table, load_case
 
 EXACT = 1e-12
 """Some roundings of 15 digits: lines and arcs stay lines and arcs."""
@@ -225,3 +226,31 @@ def test_only_an_extrusion_is_called_one() -> None:
     assert extruded_along([low, high + [0.1, 0, 0], *upright[:1]]) == "y"
     assert extruded_along([low, high, np.array([low[0], high[1]])]) is None
     assert extruded_along([low, 0.5 * (low + high), high, *upright]) is None
+
+
+def test_inspect_and_new_take_a_section_or_a_face(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = bracket(tmp_path)
+    for flags in ({"section": "z=5e-3"}, {"face": "top"}):
+        assert cli_files.inspect(path, unit="mm", out=tmp_path / "b.png", **flags) == 0
+        assert "0.04 x 0.02 m" in capsys.readouterr().out
+    choices = {"section": ({"section": "z=5e-3"}, 'section = { axis = "z", at = 0.005 }'),
+               "face": ({"face": "top"}, 'face = "top"'), "number": ({"face": "6"}, "face = 6")}  # fmt: skip
+    for name, (flags, written) in choices.items():
+        assert cli_files.new(str(tmp_path / name), from_=path, unit="mm", **flags) == 0
+        assert written in (tmp_path / name / "case.toml").read_text()
+        assert load_case(tmp_path / name).body
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ({"section": "5"}, "--section 5: must be an axis and a place"),
+        ({"section": "z=1..2"}, "--section z=1..2: must be an axis"),
+        ({"section": "z=0", "face": "1"}, "--face and --section are both given"),
+    ],
+)
+def test_bad_flags_are_refused(
+    flags: dict[str, str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli_files.inspect(Path("b.step"), **flags) == 2
+    assert message in " ".join(capsys.readouterr().err.split())

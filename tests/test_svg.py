@@ -8,7 +8,7 @@ from cad import read_here
 
 from phantomnode.geometry import svg
 from phantomnode.geometry.curves import Geometry, arc_centre
-from phantomnode.geometry.errors import GeometryError
+from phantomnode.geometry.errors import GeometryError, OutlineError
 from phantomnode.geometry.readers import read_geometry
 
 EXACT = 1e-12
@@ -25,7 +25,7 @@ def read(folder: Path, text: str, unit: str | None = None, name: str = "d.svg") 
 
 def test_circles_stay_circles_in_the_size_of_the_page_with_y_upwards(tmp_path: Path) -> None:
     text = f'{HEAD}{PAGE}<circle id="rim" cx="60" cy="40" r="30"/><circle id="bore" cx="60" cy="40" r="10"/></svg>'
-    for unit, size in ((None, 0.5e-3), ("mm", 1e-3), ("m", 1.0)):
+    for unit, size in ((None, 0.5e-3), ("mm", 0.5e-3), ("cm", 1e-2)):
         (region,) = read(tmp_path, text, unit).regions
         assert region.area == pytest.approx(800 * np.pi * size**2, rel=EXACT, abs=0.0)
         for loop, name, radius in ((region.outer, "rim", 30), (region.holes[0], "bore", 10)):
@@ -85,12 +85,17 @@ def test_what_is_used_again_hidden_or_no_shape(tmp_path: Path) -> None:
             None,
             "scale it evenly",
         ),
-        (f"{PAGE}<path d='M 0 0 L 9 9 L 9 0 L 0 9 z'/></svg>", None, "crosses itself"),
     ],
 )
 def test_bad_drawings_are_refused(tmp_path: Path, body: str, unit: str | None, message: str) -> None:
     with pytest.raises(GeometryError, match=message):
         read(tmp_path, HEAD + body, unit)
+
+
+def test_outlines_that_cross_are_told(tmp_path: Path) -> None:
+    (tmp_path / "d.svg").write_text(f"{HEAD}{PAGE}<path d='M 0 0 L 9 9 L 9 0 L 0 9 z'/></svg>")
+    with pytest.raises(OutlineError, match="crosses or touches itself"):
+        read_geometry(tmp_path / "d.svg")
 
 
 def test_xml_entities_neither_grow_nor_read_files(tmp_path: Path) -> None:
