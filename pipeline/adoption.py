@@ -18,6 +18,7 @@ from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.starter import make_new
 
 HEAD = """\
+#:schema ./case.schema.json
 # {what} of {file} {falls} on a rigid plane. See what it becomes:   phantomnode check {folder}
 # Then run it:                                        phantomnode run {folder}
 #

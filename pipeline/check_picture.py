@@ -137,7 +137,8 @@ def _draw_bodies(axes: Axes, prepared: Prepared) -> None:
         _name(axes, _within(body), body.name)
     for rigid in prepared.rigids:
         lines(axes, rigid.xy[rigid.segments], color="black", linewidths=2.5)
-        _name(axes, rigid.xy[len(rigid.xy) // 2], f"{rigid.name} (rigid)")
+        middle = rigid.xy[rigid.segments[len(rigid.segments) // 2]].mean(axis=0)
+        _name(axes, middle, f"{rigid.name} (rigid)")
 
 
 def _fill_regions(axes: Axes, body: Body, colour: str) -> None:
@@ -192,7 +193,8 @@ def _draw_contact(axes: Axes, prepared: Prepared) -> None:
 
 def _draw_boundaries(axes: Axes, prepared: Prepared) -> None:
     """The nodes of each boundary, by what it does."""
-    for boundary in prepared.boundaries:
+    obstacles = {rigid.name for rigid in prepared.rigids}  # drawn as what they are
+    for boundary in (each for each in prepared.boundaries if each.name not in obstacles):
         holds = HOLDS.get((boundary.channels[0] >= 0, boundary.channels[1] >= 0), "nothing")
         sign, colour, what = {
             "held": ({"x and y": "s", "x": ">", "y": "^"}.get(holds, "s"), HELD, f"{holds} held"),
@@ -232,6 +234,7 @@ def _draw_close(axes: Axes, prepared: Prepared, spot: Spot, title: str) -> None:
     axes.plot(*spot.place, "*", color=SPOT, ms=9.0)
     axes.set(xlim=box[:, 0], ylim=box[:, 1], aspect="equal")
     axes.tick_params(labelsize=7)
+    axes.locator_params(nbins=5)
     axes.legend(loc="best", fontsize=6)
     axes.set_title(title, fontsize=9)
 

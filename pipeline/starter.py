@@ -81,13 +81,12 @@ def write_starter(folder: Path) -> Path:
     """
     make_new(folder)
     _write_disc(folder / "disc.dxf")
-    (folder / "case.schema.json").write_text(schema_text(), encoding="utf-8")
     (folder / "case.toml").write_text(CASE.format(folder=folder), encoding="utf-8")
     return folder
 
 
 def make_new(folder: Path) -> None:
-    """Make a folder, with its parents; an empty one is used.
+    """Make a folder with the schema of cases for editors, and its parents; an empty one is used.
 
     Raises
     ------
@@ -97,6 +96,7 @@ def make_new(folder: Path) -> None:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise CaseError(f"{folder}: exists already and is left as it is; choose another name")
     folder.mkdir(parents=True, exist_ok=True)
+    (folder / "case.schema.json").write_text(schema_text(), encoding="utf-8")
 
 
 def _write_disc(file: Path) -> None:
