@@ -9,6 +9,8 @@ import io
 import json
 import re
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -356,3 +358,25 @@ class TestInABrowser:
         assert opened.page.locator("#comparison .u-title").text_content() == "steps"
         assert coloured(opened.pixels("#comparison canvas")) > 0.0002
         assert opened.complaints == []
+
+    @pytest.mark.slow
+    def test_ring_impact_and_a_batch_of_it(self, browser, tmp_path):
+        """The bundled case in full, and two cases of a sweep, as a user runs them."""
+        sweep = tmp_path / "sweep.toml"
+        sweep.write_text(
+            'base = "ring_impact"\nset = { "time.end" = 2e-3, "output.fields.count" = 4 }\n'
+            '[axis.speed]\nkey = "body.ring.initial_velocity.1"\nvalues = [-50.0, -80.0]\n'
+        )
+        commands = [
+            ["run", "ring_impact", "--out", tmp_path / "ring"],
+            ["batch", sweep, "--out", tmp_path / "both"],
+        ]
+        for command in commands:
+            subprocess.run([sys.executable, "-m", "phantomnode", *map(str, command)], check=True)
+        for folder in ("ring", "both"):
+            page, *_ = write_report([tmp_path / folder], tmp_path / folder)
+            assert page.stat().st_size < LIMIT
+            for size in (WIDE, PHONE):
+                opened = Opened(browser, page, size)
+                assert opened.quiet() and opened.fits(), (opened.complaints, opened.requests)
+                assert coloured(opened.pixels("#canvas" if folder == "ring" else "#overlay canvas")) > 0.001
