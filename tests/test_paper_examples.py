@@ -66,7 +66,10 @@ def test_the_severe_wave_is_climbed(history) -> None:
     assert abs(rows["energy_error"][-1]) < 1e-3
 
 
-@pytest.mark.parametrize(("name", "cases"), [("block_contact", 15), ("curved_bodies", 12), ("wavy_block", 6)])
+@pytest.mark.parametrize(
+    ("name", "cases"),
+    [("split_block_wave", 3), ("block_contact", 15), ("curved_bodies", 12), ("wavy_block", 6)],
+)
 def test_the_sweeps_have_the_papers_meshes_and_penalties(name: str, cases: int) -> None:
     assert len(load_study(name).points) == cases
 
