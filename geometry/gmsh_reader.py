@@ -106,9 +106,9 @@ def opened(content: bytes, suffix: str, trusted: bool = False) -> Any:
             f"gmsh cannot be loaded ({error}). It needs system libraries; on Debian and Ubuntu: "
             f"apt-get install {GMSH_LIBRARIES}"
         ) from error
-    # gmsh takes a mesh that does not begin with its mark for a script.
     source = Path("input" + suffix)
-    source.write_bytes(content.removeprefix(b"\xef\xbb\xbf").lstrip())
+    # gmsh takes a mesh that does not begin with its mark for a script.
+    source.write_bytes(content.removeprefix(b"\xef\xbb\xbf").lstrip() if suffix == ".msh" else content)
     if not trusted:
         forbid()
     gmsh.initialize(readConfigFiles=False, interruptible=False)

@@ -6,18 +6,24 @@ give it back: ``mutant(sources()[k], random(seed, number))``.
 
 from __future__ import annotations
 
+import importlib
+import os
 import re
+import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 from pathlib import Path
 
 import ezdxf
 import numpy as np
 
+from phantomnode.geometry import child, reading_child
 from phantomnode.geometry.errors import GeometryError
 from phantomnode.geometry.readers import read_geometry
 
@@ -144,14 +150,50 @@ def outcome(source: Source, seed: int, number: int) -> Outcome:
         return Outcome(source.name, number, what, time.monotonic() - start)
 
 
-def outcomes(count: int, seed: int, jobs: int = 1) -> list[Outcome]:
-    """What became of ``count`` mutants, taken in turn from the kinds of files."""
+def finish_forked(arguments: list[str], folder: str, time_limit: float) -> tuple[int, str]:
+    """What ``child._finish`` does, by a fork of this process instead of a new one: ten times as fast.
+
+    The libraries are there already; limits, reading and answer are the same.
+    """
+    said = Path(folder, "said")
+    process = os.fork()
+    if process == 0:
+        code = 1
+        try:
+            os.setsid()
+            os.chdir(folder)
+            os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT), 2)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            reading_child.main(arguments)
+            code = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    end = time.monotonic() + time_limit
+    while time.monotonic() < end:
+        if (ended := os.waitpid(process, os.WNOHANG))[0]:
+            return os.waitstatus_to_exitcode(ended[1]), said.read_text(errors="replace").strip()[-300:]
+        time.sleep(0.002)
+    os.killpg(process, signal.SIGKILL)
+    os.waitpid(process, 0)
+    raise GeometryError(f"reading it took more than {time_limit:g} s")
+
+
+def outcomes(count: int, seed: int, jobs: int = 1, *, forked: bool = False) -> list[Outcome]:
+    """What became of ``count`` mutants, taken in turn from the kinds of files; ``forked`` for this process's life."""
     with tempfile.TemporaryDirectory() as folder:
         found = sources(Path(folder))
+    if forked:
+        for library in ("gmsh", "ezdxf", "shapely", "scipy.spatial", "scipy.sparse.csgraph"):
+            importlib.import_module(library)
+        child._finish = finish_forked
     turns = [found[number % len(found)] for number in range(count)]
     if jobs == 1:
         return [outcome(source, seed, number) for number, source in enumerate(turns)]
-    with ProcessPoolExecutor(jobs) as pool:  # a process that dies raises here
+    with ProcessPoolExecutor(
+        jobs, get_context("fork") if forked else None
+    ) as pool:  # a process that dies raises here
         return list(pool.map(outcome, turns, [seed] * count, range(count), chunksize=8))
 
 
@@ -162,7 +204,7 @@ def good(found: Outcome) -> bool:
 
 def main(count: int = 2000, seed: int = 7, jobs: int = 2) -> int:
     """Print the table; the number of mutants that ended as none may."""
-    found = outcomes(count, seed, jobs)
+    found = outcomes(count, seed, jobs, forked=hasattr(os, "fork"))
     print(f"{count} mutants, seed {seed}; longest {max(o.seconds for o in found):.1f} s")
     for name in sorted({o.source for o in found}):
         kind = Counter(o.what if good(o) else "BAD" for o in found if o.source == name)
