@@ -151,10 +151,11 @@ class Curve:
     @cached_property
     def box(self) -> Floats:
         """(2, 2) Lower left and upper right corner of the bounding box, metres, arcs included."""
-        points = [self.points]
-        for k in np.flatnonzero(self.bulges):
-            points.append(_arc_extremes(self.points[k], self.points[k + 1], self.bulges[k]))
-        every = np.vstack(points)
+        every = self.points
+        bent = np.flatnonzero(self.bulges)
+        if len(bent):
+            extremes = [_arc_extremes(self.points[k], self.points[k + 1], self.bulges[k]) for k in bent]
+            every = np.vstack([every, *extremes])
         return np.array([every.min(axis=0), every.max(axis=0)])
 
 

@@ -185,19 +185,20 @@ def _listed(counts: Counter[str]) -> str:
 def _sheet(document: Any, layers: _Layers, deadline: float) -> tuple[Sheet, list[str]]:
     """The curves of the model space, else of the first paper space that has some, else boundaries of areas."""
     model = list(_expanded(document.modelspace(), layers, deadline))
-    spaces = [("model space", model)]
     sheet = _filled(model, areas=False)
-    if not sheet.items:
-        for layout in document.layouts:
-            if layout.name != "Model":
-                spaces.append((f"paper space '{layout.name}'", list(_expanded(layout, layers, deadline))))
+    if sheet.items:
+        _check_plane(sheet.items)
+        return sheet, []
+    spaces = [("model space", model)] + [
+        (f"paper space '{layout.name}'", list(_expanded(layout, layers, deadline)))
+        for layout in document.layouts
+        if layout.name != "Model"
+    ]
     for areas in (False, True):
         for label, found in spaces:
             filled = _filled(found, areas=areas)
             if filled.items:
-                notes = (
-                    [f"the model space holds no curves: {label} is taken"] if label != "model space" else []
-                )
+                notes = [f"the model space holds no curves: {label} is taken"] if found is not model else []
                 if areas:
                     notes.append("there are no curves: the boundaries of filled areas are taken")
                 _check_plane(filled.items)
