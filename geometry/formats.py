@@ -19,6 +19,10 @@ _FOREIGN = (
     (rb"AC10\d\d", "a DWG drawing: save it as DXF"),
     (rb"%PDF|%!PS", "a PDF or PostScript drawing: export DXF"),
     (rb"solid\s", "an STL surface, which is 3D: export the outline as DXF or STEP"),
+    (
+        rb"\s*(?>//[^\n]*\n\s*)*View\s*\"|\$PostFormat",
+        "a gmsh post-processing view, which holds results: save the geometry",
+    ),
     (rb"# vtk|(?s:.{0,200})<VTKFile", "a VTK file: save the outline as DXF or STEP, or the mesh as .msh"),
     (rb"PK\x03\x04|\x1f\x8b", "a compressed archive: unpack it"),
 )

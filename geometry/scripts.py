@@ -38,7 +38,7 @@ ALLOWED = frozenset(
     "Translate Rotate Symmetry Dilate Extrude Layers QuadTriAddVerts QuadTriNoNewVerts ScaleLastLayer Duplicata "
     "Boundary CombinedBoundary PointsOf BoundingBox Coherence BooleanUnion BooleanDifference BooleanIntersection "
     "BooleanFragments Fillet Chamfer Delete Recursive Hide Show Reverse Split Color Intersect Embedded Unique "
-    "Homology Cohomology Degenerated SetFactory SetPartition SetTag SetMaxTag MaxTag "
+    "Homology Cohomology Degenerated Extend ThickSolid SetFactory SetPartition SetTag SetMaxTag MaxTag "
     # values and control
     "If ElseIf Else EndIf For EndFor In Function Macro Return Call DefineConstant DefineNumber DefineString "
     "UndefineConstant SetName GetNumber Exists StrPrefix StrRelative StrFind StrCmp "

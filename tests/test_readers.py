@@ -396,6 +396,7 @@ def nested(folder: Path) -> Path:
         (written("e.dxf", " \n"), "m", "empty"),
         (written("x.geo", "hello world"), "m", "no known kind"),
         (written("x.bin", bytes(range(256))), "m", "no known kind"),
+        (written("v.pos", '// results\n// of a run\nView "u" {\n};'), "m", "post-processing view"),
         (written("x.stl", "solid a\nendsolid a"), "m", "STL"),
         (written("x.dwg", b"AC1032\0\0"), "m", "DWG"),
         (written("x.pdf", "%PDF-1.4"), "m", "PDF"),
