@@ -198,29 +198,16 @@ def contact_rates(model: Model) -> Floats:
 
     A point adds eps w to the stiffness of its slave and of its master side. (a - b)^2 <= (1 + q) a^2 + (1 + 1/q)
     b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. Rows of shape functions
-    bound each side. Points over the master sides of a vertex weigh what these are long in the mean, and at most
-    one point more: a Gauss point lies within its share of the segment. Beside the tip of a crack the nodes that
-    both faces have in common feel nothing of a point, and the part J of the shape functions that is left squares with
-    the weight w/J to no more than w. Weak supports have one side only.
+    bound each side. Beside the tip of a crack the nodes that both faces have in common feel nothing of a point, and
+    the part J of the shape functions that is left squares with the weight w/J to no more than w. Weak supports have
+    one side only.
     """
     contact, n = model.contact, len(model.mass)
-    slave, master = np.zeros(n), np.zeros(n)
-    penalty, points = _spring_stiffness(contact), np.diff(contact.slave_first)
-    length = reference_length(contact)
-    by_point = np.repeat(penalty, points) * length
+    penalty, length = _spring_stiffness(contact), reference_length(contact)
+    slave = np.zeros(n)
+    by_point = np.repeat(penalty, np.diff(contact.slave_first)) * length
     np.add.at(slave, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
-    corners = model.x[contact.master_nodes]
-    along = np.einsum("si,sia->sa", contact.end_shape - contact.start_shape, corners)
-    segments = np.diff(contact.master_first)
-    heaviest = np.zeros(len(penalty))
-    np.maximum.at(heaviest, np.repeat(np.arange(len(penalty)), points), length)
-    # Half a segment and half a point at each end: the other half is that of the neighbour, or of no one.
-    half = 0.5 * np.repeat(penalty, segments) * np.hypot(*along.T)
-    extra = np.repeat(penalty * heaviest, segments)
-    first = np.where(contact.previous < 0, extra, 0.5 * extra)
-    last = np.where(contact.following < 0, extra, 0.5 * extra)
-    np.add.at(master, contact.master_nodes, (half + first)[:, None] * contact.start_shape)
-    np.add.at(master, contact.master_nodes, (half + last)[:, None] * contact.end_shape)
+    master = _master_rows(model, penalty, length)
     heavy = model.mass > 0.0  # the nodes of rigid obstacles have none, and do not swing
     held = np.max(support_stiffness(model.supports, n), axis=1)
     slave, master, held = (
@@ -230,6 +217,32 @@ def contact_rates(model: Model) -> Floats:
         return slave + master + held  # nothing to part: one side is rigid, or there is no contact
     ratio = np.max(master) / np.max(slave)
     return np.asarray((1.0 + ratio) * slave + (1.0 + 1.0 / ratio) * master + held)
+
+
+def _master_rows(model: Model, penalty: Floats, length: Floats) -> Floats:
+    """(n,) Bound on the sum of eps w N_I over the slave points, wherever they stand on the master, N/m^2.
+
+    It is the integral of N_I and what points can weigh more. Each lies within its share of the segment, so that
+    w N_I is more than the integral over it by w times the variation of N_I there at most: in all by the heaviest
+    point times the variation along the master. Or else N_I is the sum of its values at vertices times their hats,
+    over each of which points weigh what it is long and at most one point more. The lesser of the two counts: the
+    first where a segment is in many pieces, the second where N_I is one hat. At a free end, beyond which points
+    may stand, all of one point is added, and N_I falls to zero and once more as far.
+    """
+    contact, n = model.contact, len(model.mass)
+    start, end, nodes = contact.start_shape, contact.end_shape, contact.master_nodes
+    along = np.einsum("si,sia->sa", end - start, model.x[nodes])
+    segments, points = np.diff(contact.master_first), np.diff(contact.slave_first)
+    heaviest = np.zeros(len(penalty))
+    np.maximum.at(heaviest, np.repeat(np.arange(len(penalty)), points), length)
+    half, heavier = (np.repeat(k, segments)[:, None] for k in (0.5 * penalty, penalty * heaviest))
+    opens, closes = ((link < 0)[:, None] for link in (contact.previous, contact.following))
+    integral, hats, variation = np.zeros((3, n))
+    np.add.at(integral, nodes, half * np.hypot(*along.T)[:, None] * (start + end))
+    np.add.at(hats, nodes, heavier * (np.where(opens, 1.0, 0.5) * start + np.where(closes, 1.0, 0.5) * end))
+    ends = np.where(opens, 2.0 * start, 0.0) + np.where(closes, 2.0 * end, 0.0)
+    np.add.at(variation, nodes, heavier * (np.abs(end - start) + ends))
+    return np.asarray(integral + np.minimum(hats, variation))
 
 
 def _spring_stiffness(contact: Contact) -> Floats:

@@ -383,14 +383,16 @@ def test_only_points_beside_tips_are_stiffer(geometry, tips):
 
 
 @pytest.mark.parametrize("kind", SHAPES)
-def test_the_step_is_safe_with_stiff_springs_all_along_a_crack(kind):
-    """All points closed (an overlap of 1e-9 m to begin with); springs far stiffer than the body.
+@pytest.mark.parametrize("count", [1, 2])
+def test_the_step_is_safe_with_stiff_springs_all_along_a_crack(kind, count):
+    """All points closed (an overlap of 1e-9 m to begin with); springs far stiffer than the body: 1.12 to 1.85.
 
-    At the mouth of an edge crack a whole point more is counted than there can be.
+    2.29 with one point a segment at the mouth of an edge crack, where the master ends and the point may stand beyond.
     """
     low = (-2.0, -0.4) if kind == "edge" else (-1.0, -0.4)
     tables = UNMOVED.get(kind, {})
-    model = block(SHAPES[kind], 0.0, (), penalty={"times_E": 1e6}, low=low, **tables).model
+    springs = {"penalty": {"times_E": 1e6}, "points": {"count": count}}
+    model = block(SHAPES[kind], 0.0, (), low=low, **springs, **tables).model
     pressed = model.contact._replace(offset=np.full(len(model.contact.slave_weight), -1e-9))
     model = model._replace(contact=pressed)
     whole, step = stiffness(model).toarray(), 1e-10
@@ -401,7 +403,11 @@ def test_the_step_is_safe_with_stiff_springs_all_along_a_crack(kind):
             whole[:, 2 * k + axis] = (forces(model, -u) - forces(model, u)).ravel() / (2.0 * step)
     scale = 1.0 / np.sqrt(np.repeat(model.mass, 2))
     largest = np.abs(np.linalg.eigvals(scale[:, None] * whole * scale)).max()
-    assert 1.0 < 2.0 / np.sqrt(largest) / stable_step(model, safety=1.0).dt < (2.1 if kind == "edge" else 2.0)
+    assert (
+        1.0
+        < 2.0 / np.sqrt(largest) / stable_step(model, safety=1.0).dt
+        < (2.3 if (kind, count) == ("edge", 1) else 2.0)
+    )
 
 
 @pytest.mark.parametrize("kind", ["interior", "edge", "slanted"])
