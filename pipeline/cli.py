@@ -89,7 +89,7 @@ def run(
         int,
         Parameter(
             help="Threads that may take part in a step, 1 unless given; the results are the same, to the bit, at "
-            "any number. Small models keep to one all the same."
+            "any number. Small models and classic X-FEM keep to one, and the run says so."
         ),
     ] = 1,
     talk: Talk = TALK,

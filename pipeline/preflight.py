@@ -72,6 +72,19 @@ def estimated_disk(prepared: Prepared) -> float:
     return (min(output.fields.count, steps) + 1) * frame + rows * row + checkpoints + picture
 
 
+def threads_told(prepared: Prepared, asked: int, used: int) -> str:
+    """Why fewer threads take part in the steps than were asked for, in a line."""
+    from phantomnode.solver.layout import STRIP_ELEMENTS
+
+    if prepared.xfem is not None:
+        why = "classic X-FEM runs on one"
+    elif len(prepared.model.full.weight):
+        why = 'integration.uncut = "full" runs on one'
+    else:
+        why = f"each needs {2 * STRIP_ELEMENTS:,} uncut elements, of {len(prepared.model.elements.volume):,} here"
+    return f"threads   {used} of {asked}: {why}"
+
+
 def report(prepared: Prepared) -> RenderableType:
     """The preflight report: bodies, contact pairs, boundaries, the step and what the run will take."""
     from rich.console import Group

@@ -21,7 +21,7 @@ from phantomnode.pipeline.folder import cannot_write, finished_run, go_on_with, 
 from phantomnode.pipeline.keeper import Keeper
 from phantomnode.pipeline.lock import FolderLock
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
-from phantomnode.pipeline.preflight import report, steps_of, text_report
+from phantomnode.pipeline.preflight import report, steps_of, text_report, threads_told
 from phantomnode.pipeline.profile import draw_profiles, profile_steps, stations
 from phantomnode.pipeline.provenance import case_hash, provenance
 from phantomnode.pipeline.results import VARIANTS
@@ -130,7 +130,14 @@ def run(
             keeper = Keeper(folder, own, every, start, background, stopping, began)
             observers: list[Observer] = [start.tally, start.history, background]
             observers += _progress(prepared, console, start, closing)
-            ending, stepping = march(prepared, observers, threads, start.frame, stopping, keeper)
+
+            def told(used: int) -> None:
+                source["provenance"]["threads_used"] = used
+                if used < threads:
+                    log.add(threads_told(prepared, threads, used))
+                    _tell(console, [threads_told(prepared, threads, used)])
+
+            ending, stepping = march(prepared, observers, threads, start.frame, stopping, keeper, told)
             if ending.status == "interrupted":
                 ending = ending._replace(advice=go_on_with(main or folder))
             for observer in observers:
@@ -280,8 +287,9 @@ def march(
     resume: Frame | None = None,
     stopping: Stopping | None = None,
     keeper: Keeper | None = None,
+    told: Callable[[int], None] = lambda used: None,
 ) -> tuple[Ending, float]:
-    """Take all steps and show the observers the frames that they want.
+    """Take all steps and show the observers the frames that they want; tell how many threads take part.
 
     Returns how it ended and the wall time of the steps alone, s.
     """
@@ -289,7 +297,7 @@ def march(
 
     stopping = stopping or Stopping()
     steps, samples, last, stepping = steps_of(prepared), sampled(prepared), resume, 0.0
-    stream = frames_of(prepared, np.array(sorted(samples)), threads, resume, stopping)
+    stream = frames_of(prepared, np.array(sorted(samples)), threads, resume, stopping, told)
     try:
         while True:
             began = time.perf_counter()
@@ -319,7 +327,12 @@ def march(
 
 
 def frames_of(
-    prepared: Prepared, at: NDArray[np.int64], threads: int, resume: Frame | None, stopping: Stopping
+    prepared: Prepared,
+    at: NDArray[np.int64],
+    threads: int,
+    resume: Frame | None,
+    stopping: Stopping,
+    told: Callable[[int], None],
 ) -> Iterator[Frame]:
     """The frames of a run at the given steps, and those between from which it could go on."""
     from phantomnode.solver import explicit, xfem
@@ -327,8 +340,9 @@ def frames_of(
     velocity, motion, guard = prepared.velocity, prepared.motion, prepared.case.guard.energy_error
     arguments = velocity, prepared.dt, at, motion, guard, resume
     if prepared.xfem is not None:
+        told(1)
         return xfem.frames(prepared.model, prepared.xfem, *arguments, looks=True, ended=stopping.asked)
-    return explicit.frames(prepared.model, *arguments, threads, looks=True, ended=stopping.asked)
+    return explicit.frames(prepared.model, *arguments, threads, looks=True, ended=stopping.asked, told=told)
 
 
 def sampled(prepared: Prepared) -> frozenset[int]:

@@ -59,6 +59,11 @@ class RunLog:
             ]
         self._write()
 
+    def add(self, line: str) -> None:
+        """Add what is said on the way."""
+        self._lines.append(line)
+        self._write()
+
     def close(self, summary: Summary) -> None:
         """Add how the run ended."""
         self._lines += verdict_lines(summary)

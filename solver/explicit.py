@@ -200,6 +200,10 @@ def go_on() -> bool:
     return False
 
 
+def say_nothing(threads: int) -> None:
+    """Nobody asks how many threads take part."""
+
+
 def look_steps(model: Model) -> int:
     """Most steps between two looks at the guards; it depends on nothing but the size of the model."""
     return int(np.clip(LOOK_WORK // _elements(model), *LOOK_STEPS))
@@ -220,6 +224,7 @@ def frames(
     threads: int = 1,
     looks: bool = False,
     ended: Callable[[], bool] = go_on,
+    told: Callable[[int], None] = say_nothing,
 ) -> Iterator[Frame]:
     """Run a model and yield its frames.
 
@@ -246,6 +251,8 @@ def frames(
         can be resumed from them as from those that are due.
     ended : callable
         Asked a few times a second; where it says so, no more frame comes.
+    told : callable
+        Gets the number of threads that take part, before the first frame.
 
     Raises
     ------
@@ -254,6 +261,7 @@ def frames(
     """
     due = np.asarray(steps_at, dtype=np.int64)
     layout = prepare_layout(model, threads)
+    told(layout.threads or 1)
     if layout.threads is not None:
         set_num_threads(layout.threads)
     if resume is None:

@@ -4,10 +4,10 @@ Uncut elements of a Cartesian grid stand in rows: from one to the next all four 
 constants stay. A row needs neither connectivity nor constants of each element. All others are scattered elements
 with lists of their own.
 
-The elements, in the order of the model, are divided into strips so that a strip shares nodes with its two
-neighbours only. First the even strips are added to the nodal forces, in any order or at once, then the odd ones:
-the sums, and so all results, do not depend on the number of threads. The number of strips depends on the model
-alone.
+The elements, in the order of the model, are divided into strips so that no two even strips share a node, nor two odd
+ones: strips of rows share nodes with their neighbours, and on a grid that closes on itself the last one does with the
+first. First the even strips are added to the nodal forces, in any order or at once, then the odd ones: the sums, and
+so all results, do not depend on the number of threads. The number of strips depends on the model alone.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ CHUNK = 1 << 18
 
 STRIPS, STRIP_ELEMENTS = 64, 2048
 """Most strips, and the least mean number of elements in one."""
+
+TRIED = 4
+"""Numbers of strips that are tried one after the other before half as many are."""
 
 
 class Rows(NamedTuple):
@@ -232,22 +235,26 @@ def _strips(nodes: Ints, units: Ints) -> Ints:
     m = len(nodes)
     strips = max(1, min(STRIPS, m // STRIP_ELEMENTS))
     while True:
-        wanted = np.searchsorted(units, m * np.arange(1, strips) // strips)
-        bounds = np.unique(np.concatenate([[0], units[wanted[wanted < len(units)]], [m]])).astype(np.int64)
-        if strips == 1 or _apart(nodes, bounds):
-            return bounds
+        # A grid that closes on itself needs an even number of strips, and there may be other bodies behind it.
+        for count in range(strips, max(strips - TRIED, strips // 2, 0), -1):
+            wanted = np.searchsorted(units, m * np.arange(1, count) // count)
+            bounds = np.unique(np.concatenate([[0], units[wanted[wanted < len(units)]], [m]])).astype(
+                np.int64
+            )
+            if count == 1 or _apart(nodes, bounds):
+                return bounds
         strips //= 2
 
 
 def _apart(nodes: Ints, bounds: Ints) -> bool:
-    """Whether no strip shares a node with any but its neighbours."""
-    earliest = np.full(int(nodes.max()) + 1, -1, dtype=np.int32)
-    for strip in range(len(bounds) - 1):
-        here = nodes[bounds[strip] : bounds[strip + 1]].ravel()
-        seen = earliest[here]
-        if np.any((seen >= 0) & (seen < strip - 1)):
-            return False
-        earliest[here[seen < 0]] = strip
+    """Whether no node belongs to two even strips, or to two odd ones."""
+    for parity in (0, 1):
+        taken = np.zeros(int(nodes.max()) + 1, dtype=np.bool_)
+        for strip in range(parity, len(bounds) - 1, 2):
+            here = nodes[bounds[strip] : bounds[strip + 1]].ravel()
+            if np.any(taken[here]):
+                return False
+            taken[here] = True
     return True
 
 

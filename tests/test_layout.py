@@ -140,6 +140,21 @@ def test_nodes_move_the_same_to_the_bit_by_threads():
     assert np.array_equal(v, expected) and np.array_equal(u, after) and np.array_equal(force, load)
 
 
+@pytest.mark.parametrize("behind", [0, 40, 130, 500])
+def test_a_ring_falls_into_strips_whose_last_one_may_touch_the_first(monkeypatch, behind):
+    """120 sectors of 5 cells that close on themselves, and a body behind them."""
+    monkeypatch.setattr(layouts, "STRIP_ELEMENTS", 16)
+    sector, cell = np.divmod(np.arange(600), 5)
+    first, after = sector * 6 + cell, (sector + 1) % 120 * 6 + cell
+    ring = np.column_stack([first, first + 1, after + 1, after])
+    quads = np.vstack([ring, grid(1, behind, 1.0)[1] + 720]) if behind else ring
+    bounds = layouts._strips(quads, np.arange(0, len(quads), 5))
+    assert len(bounds) - 1 > 10
+    for parity in (0, 1):
+        strips = [quads[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)][parity::2]
+        assert sum(len(np.unique(strip)) for strip in strips) == len(np.unique(np.vstack(strips)))
+
+
 def test_strips_share_nodes_with_their_neighbours_only(monkeypatch):
     """Long rows: a strip of fewer elements than a row would share nodes with the one after the next."""
     monkeypatch.setattr(layouts, "STRIP_ELEMENTS", 16)

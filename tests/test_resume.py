@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import json
 import os
 import platform
@@ -18,9 +19,10 @@ from typing import Any
 import numpy as np
 import pytest
 from numba import config
+from rich.console import Console
 
 from phantomnode.pipeline import checkpoint, lock
-from phantomnode.pipeline.case import Case, load_case, variants
+from phantomnode.pipeline.case import Case, bundled_cases, load_case, variants
 from phantomnode.pipeline.checkpoint import Damaged, checkpoints, packed, unpacked
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.folder import differences
@@ -38,6 +40,12 @@ RING = (
     "body.ring.initial_velocity=[8.0, -50.0]",
 )  # fmt: skip
 BUNDLED = {
+    "block_contact": (
+        "time.end=0.006", "output.fields.count=5", "output.history.count=30", "contact.halves.friction=0.2",
+    ),
+    "curved_bodies": (
+        "time.end=0.008", "output.fields.count=5", "output.history.count=30", "contact.crowns.friction=0.2",
+    ),
     "ring_impact": RING,
     "ring_impact/polar": ("time.end=6e-4", "output.fields.count=5", "output.history.count=30"),
     "split_block_wave": (
@@ -118,9 +126,12 @@ def test_every_bundled_case_goes_on_to_the_same_bits(
     assert summary.figures["step_loop_s"] > 0.0
 
 
-@pytest.mark.parametrize("name", sorted(set(BUNDLED) - {"ring_impact/polar"}))
+def test_no_bundled_case_is_missing_here() -> None:
+    assert {*BUNDLED} == {*bundled_cases()}
+
+
+@pytest.mark.parametrize("name", BUNDLED)
 def test_two_threads_take_part_in_these_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not on the polar grid: it closes on itself, so that its first strip is next to its last."""
     monkeypatch.setattr(layout, "STRIP_ELEMENTS", 8)
     assert layout.prepare_layout(prepare(coarse(name, "")).model, 2).threads == 2
 
@@ -369,6 +380,24 @@ def test_where_there_are_no_locks_a_dead_process_holds_none(
     (tmp_path / LOCK).write_text(json.dumps({"machine": platform.node(), "process": dead.pid}))
     with FolderLock(tmp_path) as held:
         assert held.taken_over
+
+
+def test_threads_that_take_no_part_are_told(
+    starter: Case, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In run.log, for the user and in summary.json; nothing where all take part."""
+    case, said = coarse("split_block_wave", "consistent"), Console(file=io.StringIO(), width=200)
+    two = min(2, config.NUMBA_NUM_THREADS)
+    for one, why in ((case, "classic X-FEM runs on one"), (starter, "each needs 4,096 uncut elements, of ")):
+        out = tmp_path / one.method
+        summary = run(one, out, threads=two, console=said)
+        assert summary.figures["provenance"]["threads_used"] == 1
+        for text in ((out / "run.log").read_text(), said.file.getvalue()):
+            assert (f"threads   1 of {two}: {why}" in text) == (two > 1)
+    monkeypatch.setattr(layout, "STRIP_ELEMENTS", 8)
+    summary = run(starter, tmp_path / "all", threads=two)
+    assert summary.figures["provenance"]["threads_used"] == two
+    assert f"of {two}:" not in (tmp_path / "all" / "run.log").read_text()
 
 
 def test_trees_come_back_to_the_bit() -> None:
