@@ -14,7 +14,8 @@ from phantomnode.pipeline.figure_checks import fits
 from phantomnode.pipeline.figure_tables import Figure
 from phantomnode.pipeline.names import word
 from phantomnode.pipeline.one_case import DONE
-from phantomnode.pipeline.results import VARIANTS, Results, open_results
+from phantomnode.pipeline.results import Results, open_results
+from phantomnode.pipeline.run_files import VARIANTS
 from phantomnode.pipeline.sweep import COPY, Sweep
 
 RUN = "run"

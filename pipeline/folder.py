@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from phantomnode.pipeline.checkpoint import checkpoints, remove_checkpoints
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.files import WriteError, remove_parts, sha256_of, write_atomically
+from phantomnode.pipeline.files import WriteError, sha256_of, write_atomically
 from phantomnode.pipeline.lock import is_locked
 from phantomnode.pipeline.provenance import GEOMETRY, case_hash, resolved_content, write_case
+from phantomnode.pipeline.run_files import MANIFEST, sweep
 from phantomnode.pipeline.summary import Check, Summary
 
 if TYPE_CHECKING:
     from phantomnode.pipeline.case import Case
 
-MANIFEST = "manifest.json"
 ENDED = (MANIFEST, "summary.json", "peak.png")
 """What is written when a run has ended."""
 
@@ -45,12 +45,6 @@ def reopen_folder(folder: Path) -> None:
     for name in ENDED:
         (folder / name).unlink(missing_ok=True)
     sweep(folder)
-
-
-def sweep(folder: Path) -> None:
-    """Remove the temporary files of a killed process."""
-    for place in (folder, *(folder / name for name in ("fields", "contact", "checkpoint", GEOMETRY))):
-        remove_parts(place)
 
 
 def write_manifest(folder: Path, known: dict[Path, str]) -> None:

@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 from phantomnode import __version__
 from phantomnode.pipeline.checkpoint import checkpoints, remove_checkpoints
 from phantomnode.pipeline.files import remove_parts, write_atomically
-from phantomnode.pipeline.folder import MANIFEST, sweep
 from phantomnode.pipeline.lock import LOCK as RUN_LOCK
 from phantomnode.pipeline.lock import UNSUPPORTED, is_locked
-from phantomnode.pipeline.results import VARIANTS
+from phantomnode.pipeline.run_files import MANIFEST, VARIANTS, runs_in, sweep
 from phantomnode.pipeline.underway import is_ending, underway
 
 OUTCOME = "outcome.json"
@@ -96,22 +95,17 @@ def run_order(order: Order) -> Outcome:
             return _end(order, attempt, FAILED, f"its worker died {RETRIES + 1} times")
         _record(order, attempt, RUNNING, checkpoint=here)
         remove_parts(folder)
-        for place in _runs(folder):
+        for place in runs_in(folder):
             with suppress(BlockingIOError), held(place / RUN_LOCK, wait=False):
                 pass  # left by a run on another machine, where it cannot be told whether its process has ended
         return _end(order, attempt, *_attempt(order, goes_on))
-
-
-def _runs(folder: Path) -> list[Path]:
-    """The folders of a case and of its variants that have begun."""
-    return [folder, *sorted(place for place in folder.glob(f"{VARIANTS}/*") if place.is_dir())]
 
 
 def _reached(folder: Path) -> str:
     """How far a case with its variants has got: what is finished, and the last checkpoints."""
     marks = [
         MANIFEST if (place / MANIFEST).exists() else next((file.name for file in checkpoints(place)), "")
-        for place in _runs(folder)
+        for place in runs_in(folder)
     ]
     return " ".join(marks)
 
@@ -194,7 +188,7 @@ def known(folder: Path, digest: str) -> Outcome:
 def tidy(folder: Path) -> None:
     """Remove the temporary files and locks that a killed process left of a case, unless another runs it."""
     with suppress(BlockingIOError, FileNotFoundError), held(folder / LOCK, wait=False):
-        for place in _runs(folder):
+        for place in runs_in(folder):
             sweep(place)
             with suppress(BlockingIOError), held(place / RUN_LOCK, wait=False):
                 pass
@@ -202,9 +196,10 @@ def tidy(folder: Path) -> None:
 
 def _figures(folder: Path) -> dict[str, Any]:
     """The content of summary.json; under ``variant``, by name, those of the variants."""
-    figures, *variants = (_json(place / "summary.json") for place in _runs(folder))
-    names = [place.name for place in _runs(folder)[1:]]
-    return {**figures, "variant": dict(zip(names, variants, strict=True))} if names else figures
+    figures, variants = _json(folder / "summary.json"), runs_in(folder)[1:]
+    if variants:
+        figures["variant"] = {place.name: _json(place / "summary.json") for place in variants}
+    return figures
 
 
 def _json(file: Path) -> dict[str, Any]:

@@ -12,7 +12,8 @@ from phantomnode.pipeline.figures import draw_figures
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.profile import draw_profiles
-from phantomnode.pipeline.results import VARIANTS, open_results
+from phantomnode.pipeline.results import open_results
+from phantomnode.pipeline.run_files import VARIANTS
 from phantomnode.pipeline.run_page import run_page
 
 LOG = logging.getLogger(__name__)

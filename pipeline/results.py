@@ -31,9 +31,6 @@ Ints = NDArray[np.int64]
 Time = float | str
 """A time, s, or one of the ``NAMED`` times."""
 
-VARIANTS = "variants"
-"""Folder, within the results of a case, of the results of its variants."""
-
 NAMED = ("start", "peak", "end")
 """The first frame, that of the largest internal energy, the last one."""
 

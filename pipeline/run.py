@@ -24,7 +24,7 @@ from phantomnode.pipeline.observer import Ending, Observer, sample_steps
 from phantomnode.pipeline.preflight import report, steps_of, text_report, threads_told
 from phantomnode.pipeline.profile import draw_profiles, profile_steps, stations
 from phantomnode.pipeline.provenance import case_hash, provenance
-from phantomnode.pipeline.results import VARIANTS
+from phantomnode.pipeline.run_files import VARIANTS
 from phantomnode.pipeline.runlog import RunLog
 from phantomnode.pipeline.start import Start, new_start, resumed_start
 from phantomnode.pipeline.stopping import Stopping, WallLimit, wall_limit_from

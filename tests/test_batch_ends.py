@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext
@@ -256,3 +257,13 @@ def test_what_is_wrong_with_a_variant_is_told_with_its_name(tmp_path: Path) -> N
     assert failed.status == "failed" and failed.reason.startswith(
         "variant.lumped: time.step: 1 s is unstable"
     )
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"), [("engine", {"numba", "scipy", "shapely"}), ("batch", {"numba"})]
+)
+def test_what_is_loaded_before_a_case_is_there(module: str, heavy: set[str]) -> None:
+    """Workers load the engine, the driver all of a batch; the compiler alone takes more than a second."""
+    code = f"import sys, phantomnode.pipeline.{module}; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not heavy & {*loaded.stdout.split()}

@@ -56,8 +56,6 @@ BUNDLED = {
         "body.block.grid.counts=[20, 10]", "time.end=0.004", "time.step='auto'", "output.fields.count=5",
         "output.history.count=30", "contact.sliding.friction=0.2",
     ),
-    "block_contact": ("time.end=0.004", "output.fields.count=5", "output.history.count=30"),
-    "curved_bodies": ("time.end=0.003", "output.fields.count=5", "output.history.count=30"),
 }  # fmt: skip
 TIMES = {"wall_s", "step_loop_s", "element_updates_per_s", "provenance", "resumed_at"}
 """What of summary.json differs from run to run."""
