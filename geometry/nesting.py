@@ -24,7 +24,7 @@ def nest(loops: Sequence[Curve], name: str = "") -> tuple[Region, ...]:
     GeometryError
         Where a loop crosses itself or another one, with the point.
     """
-    return _nested(loops, check_simple(loops), name)
+    return _nested(loops, check_simple(loops), name) if loops else ()
 
 
 def sort_out(loops: Sequence[Curve]) -> tuple[tuple[Region, ...], tuple[Curve, ...], tuple[Finding, ...]]:

@@ -183,3 +183,7 @@ def test_arc_pieces_turn_by_the_sweep_about_the_centre(sweep: float) -> None:
     curve = Curve(points, bulges)
     assert curve.angles.sum() == pytest.approx(sweep, rel=1e-14)
     assert curve.lengths.sum() == pytest.approx(abs(sweep), rel=1e-14)
+
+
+def test_no_loops_are_no_regions() -> None:
+    assert nest([]) == ()  # a damaged face whose edges have no length
