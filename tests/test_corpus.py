@@ -18,9 +18,13 @@ import numpy as np
 import pytest
 import shapely
 
-from phantomnode.geometry.curves import Geometry, diagonal
+from phantomnode import run
+from phantomnode.geometry.curves import Geometry, Region, diagonal
 from phantomnode.geometry.errors import GeometryError, NoUnitError, OutlineError
 from phantomnode.geometry.readers import read_geometry
+from phantomnode.pipeline.adoption import _cell
+from phantomnode.pipeline.case import case_from_table
+from phantomnode.pipeline.prepare import prepare
 
 pytestmark = pytest.mark.slow
 
@@ -205,3 +209,71 @@ def test_areas_are_found_again_by_polygonizing_what_ezdxf_flattens(name: str) ->
     # Either side flattens free-form curves, within 1e-6 and 1e-7 of the drawing's size along their length.
     assert abs(area - again) < 1.1e-6 * size * length, (area, again)
     assert abs(area / again - 1.0) < 1e-4
+
+
+STEPS = 200
+MET_AFTER = 20
+"""Steps of a run, and those until the plane is met."""
+
+SPEED = 10.0
+"""m/s"""
+
+SAFETY = 0.25
+"""Of the stable step. A point that has met the plane by w at the end of a step has an energy of penalty w^2/2 that it
+was not given: an error in proportion to the square of the step, for all points of a flat side at once."""
+
+
+def falling(path: Path, geometry: Geometry) -> dict[str, Any]:
+    """A case in which the largest region of a file falls on a rigid plane."""
+    number = max(range(len(geometry.regions)), key=lambda k: geometry.regions[k].area)
+    part: dict[str, Any] = {
+        "geometry": {"file": str(path), "unit": geometry.unit, "region": number + 1},
+        "grid": {"kind": "cartesian", "cell": _cell(geometry.regions[number])},
+        "material": "rubber",
+        "initial_velocity": [0.0, -SPEED],
+    }
+    if any(layer.state == "not asked for" for layer in geometry.contents):
+        part["geometry"]["layers"] = [layer.name for layer in geometry.contents if not layer.state]
+    return {
+        "title": path.name,
+        "time": {"end": 1.0, "safety": SAFETY},
+        "material": {"rubber": {"E": 50e6, "nu": 0.4, "rho": 1100.0}},
+        "body": {"part": part},
+        "rigid": {"floor": floor(geometry.regions[number], 0.0)},
+        "contact": {"landing": {"slave": "part.outer", "master": "floor"}},
+        "output": {"fields": {"count": 1}, "history": {"count": 20}},
+    }
+
+
+def floor(region: Region, gap: float) -> dict[str, Any]:
+    """A plane below a region; the obstacle is on the left of its curve."""
+    (left, bottom), (right, _) = region.box
+    margin = float(right - left)
+    points = [[right + margin, bottom - gap], [left - margin, bottom - gap]]
+    return {"geometry": {"polyline": {"points": points}}}
+
+
+def test_a_body_of_every_readable_file_falls_on_a_rigid_plane(tmp_path: Path) -> None:
+    errors: dict[str, float] = {}
+    for k, (path, _) in enumerate(indexed(corpus())):
+        found = outcome(path)
+        if found.kind == "regions":
+            assert found.geometry is not None
+            errors[path.name] = fallen(path, found.geometry, tmp_path / str(k))
+    good = [name for name, error in errors.items() if error < 1e-3]
+    print(f"{len(good)} of {len(errors)} bodies keep their energy to 1e-3")
+    assert len(good) >= 20
+
+
+def fallen(path: Path, geometry: Geometry, folder: Path) -> float:
+    """The largest error of the energy of a fall, over the largest energy."""
+    region = max(geometry.regions, key=lambda region: region.area)
+    table = falling(path, geometry)
+    step = prepare(case_from_table(table)).dt
+    table["rigid"]["floor"] = floor(region, MET_AFTER * step * SPEED)
+    table["time"] = {"end": STEPS * step, "step": step}
+    summary = run(case_from_table(table), folder)
+    force, error = summary.figures["peak_contact_force"]["landing"], summary.figures["energy_error_max"]
+    print(f"{error:.1e}  {force:.3g} N/m  {path.name}", flush=True)
+    assert force > 0.0
+    return float(error)
