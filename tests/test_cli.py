@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -69,11 +68,24 @@ def fail_with(error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "phantomnode.pipeline.run", SimpleNamespace(run_all=run, check=run))
 
 
-def test_help_answers_within_a_second_and_shows_every_command() -> None:
-    began = time.perf_counter()
-    shown = subprocess.run([sys.executable, "-m", "phantomnode", "--help"], capture_output=True, text=True)
-    assert time.perf_counter() - began < 1.0  # asked for by users; 0.2 s when measured
+def test_help_loads_nothing_heavy_and_shows_every_command() -> None:
+    """It answers in a fifth of a second because it needs none of what computes, reads, draws or distributes."""
+    command = [sys.executable, "-X", "importtime", "-m", "phantomnode", "--help"]
+    shown = subprocess.run(command, capture_output=True, text=True)
     assert shown.returncode == 0
+    loaded = {line.rpartition("|")[2].strip().partition(".")[0] for line in shown.stderr.splitlines()}
+    assert "phantomnode" in loaded
+    assert not loaded & {
+        "numpy",
+        "numba",
+        "scipy",
+        "matplotlib",
+        "shapely",
+        "ezdxf",
+        "gmsh",
+        "dask",
+        "distributed",
+    }
     for word in (
         "run",
         "check",
