@@ -332,7 +332,7 @@ def frames_of(
     threads: int,
     resume: Frame | None,
     stopping: Stopping,
-    told: Callable[[int], None],
+    told: Callable[[int], None] = lambda used: None,
 ) -> Iterator[Frame]:
     """The frames of a run at the given steps, and those between from which it could go on."""
     from phantomnode.solver import explicit, xfem
