@@ -1,8 +1,8 @@
 """VTK's XML files: unstructured grids (.vtu) as bytes and back, and time series of them (.pvd).
 
 Arrays are appended to the XML as they are, in binary. Compressed by zlib they are what ParaView, pyvista and meshio
-all read (meshio knows no LZ4); ISA-L's encoder is three times as fast as that of the zlib library and packs
-floating-point numbers better. The data stand in the reverse order of their tags: meshio finds an array by its offset,
+all read (meshio knows no LZ4). The encoder is that of the zlib library: ISA-L's is three times as fast, but does not
+always pack the same numbers into the same bytes, which a resumed run owes its user. The data stand in the reverse order of their tags: meshio finds an array by its offset,
 the first tag that has it, and gives offsets anew while it goes along. What stays the same from frame to frame is
 encoded once (:func:`data_array`, :func:`cells`).
 """
@@ -100,9 +100,7 @@ def _sizes(*numbers: int) -> bytes:
 
 
 def _zlib(content: NDArray[np.uint8]) -> bytes:
-    from isal import isal_zlib
-
-    return bytes(isal_zlib.compress(content, 1))
+    return zlib.compress(content.tobytes(), 1)
 
 
 def _zlib_once(content: NDArray[np.uint8]) -> bytes:
