@@ -2,9 +2,9 @@
 
 Arrays are appended to the XML as they are, in binary. Compressed by zlib they are what ParaView, pyvista and meshio
 all read (meshio knows no LZ4). The encoder is that of the zlib library: ISA-L's is three times as fast, but does not
-always pack the same numbers into the same bytes, which a resumed run owes its user. The data stand in the reverse order of their tags: meshio finds an array by its offset,
-the first tag that has it, and gives offsets anew while it goes along. What stays the same from frame to frame is
-encoded once (:func:`data_array`, :func:`cells`).
+always pack the same numbers into the same bytes, which a resumed run owes its user. The data stand in the reverse
+order of their tags: meshio finds an array by its offset, the first tag that has it, and gives offsets anew while it
+goes along. What stays the same from frame to frame is encoded once (:func:`data_array`, :func:`cells`).
 """
 
 from __future__ import annotations
