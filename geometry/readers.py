@@ -5,14 +5,15 @@ A file may be damaged, hostile or only large, and the libraries that read it may
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from phantomnode.geometry import wire
-from phantomnode.geometry.child import ask
+from phantomnode.geometry.child import Child
 from phantomnode.geometry.curves import Geometry
 from phantomnode.geometry.errors import GeometryError, OutlineError
 from phantomnode.geometry.findings import complaint
@@ -24,6 +25,54 @@ TIME_LIMIT = 30.0
 
 MOST_BYTES = 1 << 30
 """Of a file: one of 1e7 nodes has as many, and reading it needs more memory than the reader gets."""
+
+Result = TypeVar("Result")
+
+
+class Reading(Generic[Result]):
+    """A file that a process of its own reads from now on; a context, which ends that process.
+
+    Parameters
+    ----------
+    path : str or Path
+    request : dict
+        What :mod:`phantomnode.geometry.reading_child` is to read.
+    finish : function
+        Makes the result of what it answers.
+    time_limit : float, s
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        request: dict[str, Any],
+        finish: Callable[[Any], Result],
+        time_limit: float = TIME_LIMIT,
+    ) -> None:
+        self._path, self._finish = path, finish
+        with _about(path):
+            self._child = Child(request, _content(Path(path)), time_limit)
+
+    def result(self) -> Result:
+        """Wait for it.
+
+        Raises
+        ------
+        GeometryError
+            Naming the file, what is wrong and what to do.
+        """
+        with _about(self._path):
+            return self._finish(self._child.answer())
+
+    def end(self) -> None:
+        """End the process, if it still reads."""
+        self._child.end()
+
+    def __enter__(self) -> Reading[Result]:
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        self.end()
 
 
 def read_geometry(
@@ -74,6 +123,25 @@ def read_geometry(
         Naming the file, what is wrong and what to do; an OutlineError, which holds the curves, where they make
         nothing but outlines that cross, a NoUnitError where there is no unit.
     """
+    with geometry_reading(
+        path, unit, layers=layers, without_layers=without_layers, trust_scripts=trust_scripts, time_limit=time_limit,
+        face=face, section=section,
+    ) as reading:  # fmt: skip
+        return reading.result()
+
+
+def geometry_reading(
+    path: str | Path,
+    unit: str | None = None,
+    *,
+    layers: Sequence[str] = (),
+    without_layers: Sequence[str] = (),
+    trust_scripts: bool = False,
+    time_limit: float = TIME_LIMIT,
+    face: str | int | None = None,
+    section: tuple[str, float] | None = None,
+) -> Reading[Geometry]:
+    """What :func:`read_geometry` waits for, begun."""
     wanted = {
         "unit": unit,
         "layers": list(layers),
@@ -82,13 +150,7 @@ def read_geometry(
         "face": face,
         "section": section,
     }
-    with _about(path):
-        request = {"read": "geometry", "wanted": wanted}
-        geometry = wire.decoded(ask(request, _content(Path(path)), time_limit))
-        assert isinstance(geometry, Geometry)
-        if geometry.wrong and not geometry.regions:
-            raise OutlineError(complaint(geometry.findings, geometry.unit), geometry)
-    return geometry
+    return Reading(path, {"read": "geometry", "wanted": wanted}, _geometry, time_limit)
 
 
 def read_quads(
@@ -105,11 +167,30 @@ def read_quads(
         For a file that is no mesh, a mesh with triangles or other faces, folded cells, two nodes at one
         place, or no unit.
     """
-    with _about(path):
-        request = {"read": "quads", "wanted": {"unit": unit}}
-        data = ask(request, _content(Path(path)), time_limit)
-        xy, quads = renumbered(np.array(data["xy"]), np.array(data["quads"], dtype=np.int64))
-        _check_convex(xy[quads])
+    with quads_reading(path, unit, time_limit=time_limit) as reading:
+        return reading.result()
+
+
+def quads_reading(
+    path: str | Path, unit: str | None = None, *, time_limit: float = TIME_LIMIT
+) -> Reading[BackgroundGrid]:
+    """What :func:`read_quads` waits for, begun."""
+    return Reading(path, {"read": "quads", "wanted": {"unit": unit}}, _grid, time_limit)
+
+
+def _geometry(answer: Any) -> Geometry:
+    """The geometry of an answer."""
+    geometry = wire.decoded(answer)
+    assert isinstance(geometry, Geometry)
+    if geometry.wrong and not geometry.regions:
+        raise OutlineError(complaint(geometry.findings, geometry.unit), geometry)
+    return geometry
+
+
+def _grid(answer: Any) -> BackgroundGrid:
+    """The grid of an answer."""
+    xy, quads = renumbered(np.array(answer["xy"]), np.array(answer["quads"], dtype=np.int64))
+    _check_convex(xy[quads])
     return BackgroundGrid(xy, quads)
 
 

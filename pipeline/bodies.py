@@ -19,9 +19,9 @@ from phantomnode.geometry.fans import centroid_fans
 from phantomnode.geometry.findings import complaint
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.geometry.noding import Lattice
-from phantomnode.geometry.readers import read_geometry, read_quads
 from phantomnode.geometry.relocate import relocate
 from phantomnode.geometry.units import metres
+from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.expressions import ExpressionError, parse
 from phantomnode.pipeline.schema import Case
@@ -29,7 +29,6 @@ from phantomnode.pipeline.shapes import (
     BodyGeometry,
     CartesianGrid,
     CurveGeometry,
-    Drawing,
     FileGrid,
     MappedGrid,
     PolarGrid,
@@ -68,7 +67,7 @@ class CutBody:
     notes: tuple[str, ...]
 
 
-def cut_body(case: Case, name: str) -> CutBody:
+def cut_body(case: Case, name: str, drawings: Drawings) -> CutBody:
     """Read, place, relocate, cut and double one body.
 
     Raises
@@ -77,16 +76,16 @@ def cut_body(case: Case, name: str) -> CutBody:
         With the key of the body, grid or interface at fault.
     """
     with at(case, f"body.{name}.geometry"):
-        regions, notes = _regions(case, case.body[name].geometry)
+        regions, notes = _regions(drawings, case.body[name].geometry)
     interfaces: list[tuple[str, Curve]] = []
     for label, interface in case.interface.items():
         if interface.body == name:
             with at(case, f"interface.{label}.geometry"):
-                curves, more = curves_of(case, interface.geometry, regions)
+                curves, more = curves_of(drawings, interface.geometry, regions)
                 interfaces += [(label, curve) for curve in curves]
                 notes += more
     with at(case, f"body.{name}.grid"):
-        grid = grids.check(background_grid(case, name, regions))
+        grid = grids.check(background_grid(case, name, regions, drawings))
     with at(case, f"body.{name}"):
         curves = tuple(curve for _, curve in interfaces)
         loops = [loop for region in regions for loop in region.loops]
@@ -133,9 +132,9 @@ def at(case: Case, key: str) -> Iterator[None]:
         raise CaseError(f"{case.name}: {key}: {error}") from error
 
 
-def _regions(case: Case, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tuple[str, ...]]:
+def _regions(drawings: Drawings, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tuple[str, ...]]:
     """The outlines of a body, placed, with the reader's notes."""
-    source = _drawing(case, geometry)
+    source = _drawing(drawings, geometry)
     if not source.regions:
         raise OutlineError(f"there is no closed outline, and a body needs one; {_open_ends(source)}", source)
     if geometry.region is not None:
@@ -181,10 +180,10 @@ def _open_ends(source: Geometry) -> str:
     )
 
 
-def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
+def _drawing(drawings: Drawings, geometry: BodyGeometry) -> Geometry:
     """A body's geometry before it is placed."""
     if geometry.file is not None:
-        return _read(case, geometry)
+        return drawings.geometry(geometry)
     if geometry.rectangle is not None:
         return Geometry((shapes.rectangle(geometry.rectangle.low, geometry.rectangle.high),))
     if geometry.circle is not None:
@@ -196,28 +195,13 @@ def _drawing(case: Case, geometry: BodyGeometry) -> Geometry:
     return Geometry((shapes.polygon(geometry.polygon.points),))
 
 
-def _read(case: Case, drawing: Drawing) -> Geometry:
-    """The geometry of a file with the options that go with it."""
-    assert drawing.file is not None
-    cut = drawing.section
-    return read_geometry(
-        case.path(drawing.file),
-        drawing.unit,
-        layers=drawing.layers,
-        without_layers=drawing.without_layers,
-        trust_scripts=drawing.trust_scripts,
-        face=drawing.face,
-        section=None if cut is None else (cut.axis, cut.at),
-    )
-
-
 def curves_of(
-    case: Case, geometry: CurveGeometry, regions: tuple[Region, ...] = ()
+    drawings: Drawings, geometry: CurveGeometry, regions: tuple[Region, ...] = ()
 ) -> tuple[tuple[Curve, ...], tuple[str, ...]]:
     """The curves of an interface, placed, with the reader's notes."""
     notes: tuple[str, ...] = ()
     if geometry.file is not None:
-        drawing = _read(case, geometry)
+        drawing = drawings.geometry(geometry)
         if drawing.wrong:
             raise OutlineError(complaint(drawing.findings, drawing.unit), drawing)
         loops = tuple(loop for region in drawing.regions for loop in region.loops)
@@ -245,7 +229,7 @@ def _graph(function: str, span: tuple[float, float] | None, regions: tuple[Regio
     return shapes.graph(parse(function, "x"), span[0], span[1], CHORD_ERROR * (span[1] - span[0]))
 
 
-def background_grid(case: Case, name: str, regions: tuple[Region, ...]) -> BackgroundGrid:
+def background_grid(case: Case, name: str, regions: tuple[Region, ...], drawings: Drawings) -> BackgroundGrid:
     """The background grid of a body, before its nodes are relocated."""
     grid = case.grid_of(name)
     if isinstance(grid, CartesianGrid):
@@ -256,16 +240,16 @@ def background_grid(case: Case, name: str, regions: tuple[Region, ...]) -> Backg
         return mapped.polar(grid.centre, radii=grid.radii, angles=grid.angles, counts=grid.counts)
     if isinstance(grid, MappedGrid):
         bottom, right, top, left = (
-            _one_curve(case, side) for side in (grid.bottom, grid.right, grid.top, grid.left)
+            _one_curve(drawings, side) for side in (grid.bottom, grid.right, grid.top, grid.left)
         )
         return mapped.mapped(bottom, right, top, left, grid.counts)
     assert isinstance(grid, FileGrid)
-    return read_quads(case.path(grid.file), grid.unit)
+    return drawings.quads(grid)
 
 
-def _one_curve(case: Case, geometry: CurveGeometry) -> Curve:
+def _one_curve(drawings: Drawings, geometry: CurveGeometry) -> Curve:
     """The one curve of a side of a mapped grid."""
-    curves, _ = curves_of(case, geometry)
+    curves, _ = curves_of(drawings, geometry)
     if len(curves) != 1:
         raise GeometryError(f"a side of a mapped grid is one curve, but {len(curves)} were found")
     return curves[0]

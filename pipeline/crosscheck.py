@@ -12,7 +12,7 @@ from phantomnode.pipeline.expressions import ExpressionError, time_function
 from phantomnode.pipeline.figure_checks import case_faults
 from phantomnode.pipeline.messages import listed, shown, suggestion
 from phantomnode.pipeline.schema import Case, Hourglass
-from phantomnode.pipeline.shapes import FileGrid, MappedGrid
+from phantomnode.pipeline.shapes import Drawing, FileGrid, MappedGrid
 from phantomnode.pipeline.values import Table
 
 PROBES = 1001
@@ -131,14 +131,21 @@ def _unknown(key: str, value: str, what: str, known: Iterable[str], name: str = 
 
 def _files(case: Case) -> Iterator[str]:
     """Files that are not there."""
-    for key, table in _tables(case):
-        file = getattr(table, "file", None)
-        if file is None or case.path(file).is_file():
+    for key, table in tables_with_files(case):
+        file = str(table.file)
+        if case.path(file).is_file():
             continue
         folder = case.path(file).parent
         near = sorted(entry.name for entry in folder.iterdir()) if folder.is_dir() else []
         hint = suggestion(case.path(file).name, near)
         yield f"{key}.file = {shown(file)}: there is no such file in {folder}{hint}"
+
+
+def tables_with_files(case: Case) -> Iterator[tuple[str, Drawing | FileGrid]]:
+    """Every table that names a file, with its key."""
+    for key, table in _tables(case):
+        if isinstance(table, Drawing | FileGrid) and table.file is not None:
+            yield key, table
 
 
 def _tables(case: Case) -> Iterator[tuple[str, Table]]:

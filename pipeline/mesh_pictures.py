@@ -12,6 +12,7 @@ from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.levelset import LevelSet
 from phantomnode.pipeline.bodies import background_grid
 from phantomnode.pipeline.drawing import BODY_COLOURS, CUT, PHANTOM, box_of, fill, lines, map_figure, marks
+from phantomnode.pipeline.drawings import Drawings
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -107,7 +108,8 @@ def _level_set(axes: Axes, body: Body, level_set: LevelSet) -> Any:
 
 def _relocated(axes: Axes, prepared: Prepared, body: Body) -> None:
     """The nodes that were moved onto curves, with the way that they went."""
-    before = background_grid(prepared.case, body.name, body.regions).xy
+    with Drawings(prepared.case) as drawings:
+        before = background_grid(prepared.case, body.name, body.regions, drawings).xy
     way = np.hypot(*(body.grid.xy - before).T)
     moved = way > 1e-9 * body.grid.cell_size
     lines(axes, np.stack([before[moved], body.grid.xy[moved]], axis=1), color=MOVED, linewidths=1.0, zorder=3)

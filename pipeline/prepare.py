@@ -16,6 +16,7 @@ from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.pipeline.bodies import CutBody, cut_body
 from phantomnode.pipeline.boundaries import Boundary, Conditions, conditions
 from phantomnode.pipeline.contacts import Pair, contact_passes, offsets, own_reach, reported_pairs
+from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.elements import ElementLists, element_lists
 from phantomnode.pipeline.motion import PrescribedMotion
 from phantomnode.pipeline.pairing import ContactPass, joined_contact
@@ -136,17 +137,12 @@ def prepare(case: Case) -> Prepared:
         Naming the key at fault: a file that cannot be read, a body outside its grid, an unknown part, surfaces
         that overlap at the start, a step that is not stable.
     """
-    cut = {}
-    for name in case.body:
-        began = time.perf_counter()
-        cut[name] = cut_body(case, name)
-        counts = len(cut[name].mesh.elements), int(cut[name].mesh.cut.sum())
-        LOG.info(
-            "body %s: %d elements, %d of them cut, in %.2f s", name, *counts, time.perf_counter() - began
-        )
-    bodies = _bodies(case, cut)
+    with Drawings(case) as drawings:
+        drawings.read_ahead()
+        cut = {name: _cut(case, name, drawings) for name in case.body}
+        bodies = _bodies(case, cut)
+        rigids = rigid_obstacles(case, cut, bodies[-1].nodes.stop, drawings)
     first_node = {body.name: body.nodes.start for body in bodies}
-    rigids = rigid_obstacles(case, cut, bodies[-1].nodes.stop)
     passes = contact_passes(case, cut, first_node, rigids)
     lists = element_lists(case, bodies)
     held = conditions(case, cut, {body.name: body.nodes for body in bodies}, lists.mass, rigids)
@@ -170,6 +166,15 @@ def prepare(case: Case) -> Prepared:
     return Prepared(
         case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings, xfem, rigids
     )
+
+
+def _cut(case: Case, name: str, drawings: Drawings) -> CutBody:
+    """A body, cut, and how long it took."""
+    began = time.perf_counter()
+    body = cut_body(case, name, drawings)
+    counts = len(body.mesh.elements), int(body.mesh.cut.sum())
+    LOG.info("body %s: %d elements, %d of them cut, in %.2f s", name, *counts, time.perf_counter() - began)
+    return body
 
 
 def _bodies(case: Case, cut: dict[str, CutBody]) -> tuple[Body, ...]:

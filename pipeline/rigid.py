@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from phantomnode.geometry.curves import Curve
 from phantomnode.pipeline.bodies import CutBody, at, curves_of
+from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.pairing import MasterSide, previous_of
 from phantomnode.pipeline.schema import Case
 
@@ -65,7 +66,9 @@ class Rigid:
         )
 
 
-def rigid_obstacles(case: Case, cut: dict[str, CutBody], first_node: int) -> tuple[Rigid, ...]:
+def rigid_obstacles(
+    case: Case, cut: dict[str, CutBody], first_node: int, drawings: Drawings
+) -> tuple[Rigid, ...]:
     """All obstacles of a case; their nodes begin at ``first_node``.
 
     Raises
@@ -81,7 +84,7 @@ def rigid_obstacles(case: Case, cut: dict[str, CutBody], first_node: int) -> tup
             if contact.master == name and contact.slave.partition(".")[0] in cut
         ]
         with at(case, f"rigid.{name}.geometry"):
-            curves, _ = curves_of(case, table.geometry)
+            curves, _ = curves_of(drawings, table.geometry)
             curves = tuple(_facing(curve, table.side) for curve in curves)
             extent = max(float(np.max(curve.box[1] - curve.box[0])) for curve in curves)
             error = CHORD_ERROR * min(cells, default=extent)

@@ -89,8 +89,9 @@ def data_array(name: str, values: Array, encoding: Encoding = SMALL_AND_FAST) ->
     attributes = f'type="{TYPES[stored.dtype.str]}" Name="{name}"{components}'
     if encoding.compression == "none":
         return Encoded(attributes, _sizes(stored.nbytes), stored.tobytes())
-    pack = {"lz4": _lz4, "zlib": _zlib if stored.dtype.kind == "f" else _zlib_once}[encoding.compression]
-    packed = pack(stored.reshape(-1).view(np.uint8))
+    # Integers are the same in all frames: 40 ms once, for 0.2 MB less in each frame of 1e5 cells.
+    level = 1 if stored.dtype.kind == "f" else 3
+    packed = _lz4(stored) if encoding.compression == "lz4" else zlib.compress(stored.tobytes(), level)
     # Blocks, their size, that of a last one that is shorter (there is none), and the size of each when packed.
     return Encoded(attributes, _sizes(1, stored.nbytes, 0, len(packed)), packed)
 
@@ -99,19 +100,10 @@ def _sizes(*numbers: int) -> bytes:
     return np.array(numbers, dtype="<u8").tobytes()
 
 
-def _zlib(content: NDArray[np.uint8]) -> bytes:
-    return zlib.compress(content.tobytes(), 1)
-
-
-def _zlib_once(content: NDArray[np.uint8]) -> bytes:
-    """Integers are the same in all frames: 40 ms once, for 0.2 MB less in each frame of 1e5 cells."""
-    return zlib.compress(content.tobytes(), 3)
-
-
-def _lz4(content: NDArray[np.uint8]) -> bytes:
+def _lz4(stored: Array) -> bytes:
     import lz4.block
 
-    return bytes(lz4.block.compress(content, store_size=False))
+    return bytes(lz4.block.compress(stored, store_size=False))
 
 
 def vtu_bytes(

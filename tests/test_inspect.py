@@ -14,6 +14,8 @@ from phantomnode.geometry.readers import read_geometry
 from phantomnode.pipeline import cli, cli_files, console
 from phantomnode.pipeline.bodies import cut_body
 from phantomnode.pipeline.case import load_case
+from phantomnode.pipeline.drawings import Drawings
+from phantomnode.pipeline.prepare import prepare
 
 
 def drawing(path: Path, draw: Callable[[Any], None], units: int = 4) -> Path:
@@ -111,7 +113,7 @@ def test_a_case_for_a_drawing_has_its_names_and_can_be_cut(
         "bolt_on_floor",
     ]
     for name, area in (("plate_1", 2400 - 25 * np.pi), ("bolt", 100 * np.pi)):
-        mesh = cut_body(case, name).mesh
+        mesh = cut_body(case, name, Drawings(case)).mesh
         # Arcs are cut by straight lines within a cell of a quarter of the radius: h^2/(6 R^2) of the circle is lost.
         assert mesh.area.sum() == pytest.approx(1e-6 * area, rel=1.1e-2)
     assert cli_files.new("mine", from_=file) == console.INPUT_AT_FAULT  # is left as it is
@@ -170,7 +172,9 @@ def test_a_region_is_taken_by_number_or_by_the_layer_of_its_outline(
     drawing(tmp_path / "d.dxf", two_parts)
     (tmp_path / "case.toml").write_text(CASE)
     case = load_case(str(tmp_path), (f"body.part.geometry.region={region}",))
-    assert sum(r.area for r in cut_body(case, "part").regions) == pytest.approx(1e-6 * area, rel=1e-12)
+    assert sum(r.area for r in cut_body(case, "part", Drawings(case)).regions) == pytest.approx(
+        1e-6 * area, rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -182,7 +186,7 @@ def test_a_region_that_is_not_there_is_answered_with_those_that_are(
     drawing(tmp_path / "d.dxf", two_parts)
     (tmp_path / "case.toml").write_text(CASE)
     with pytest.raises(ValueError, match=said):
-        cut_body(load_case(str(tmp_path), (f"body.part.geometry.region={region}",)), "part")
+        prepare(load_case(str(tmp_path), (f"body.part.geometry.region={region}",)))
 
 
 def test_the_regions_of_a_drawing_keep_their_numbers(tmp_path: Path) -> None:

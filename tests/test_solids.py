@@ -16,6 +16,7 @@ from phantomnode.geometry.readers import read_geometry
 from phantomnode.pipeline import cli_files
 from phantomnode.pipeline.bodies import cut_body
 from phantomnode.pipeline.case import CaseError, case_from_table, load_case
+from phantomnode.pipeline.drawings import Drawings
 
 EXACT = 1e-12
 """Some roundings of 15 digits: lines and arcs stay lines and arcs."""
@@ -172,7 +173,7 @@ def test_a_case_takes_a_section_or_a_face(tmp_path: Path) -> None:
     for choice in ({"section": {"axis": "z", "at": 0.005}}, {"face": "top"}):
         case = case_from_table(case_of(file="b.xao", unit="mm", **choice), tmp_path)
         # The cut follows arcs by straight lines from edge to edge of the cells: off by s^2/(6 r^2) of the hole.
-        assert cut_body(case, "part").mesh.area.sum() == pytest.approx(HOLED * 1e-6, rel=0.02)
+        assert cut_body(case, "part", Drawings(case)).mesh.area.sum() == pytest.approx(HOLED * 1e-6, rel=0.02)
 
 
 @pytest.mark.parametrize(

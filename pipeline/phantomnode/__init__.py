@@ -6,13 +6,7 @@ The names below load on first use, so that ``import phantomnode`` costs nothing:
 """
 
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
-
-try:
-    __version__ = version("phantomnode")
-except PackageNotFoundError:  # a bare checkout on the path, not installed
-    __version__ = "0+unknown"
 
 _HOME = {
     "load_case": "phantomnode.pipeline.case",
@@ -26,6 +20,18 @@ __all__ = ["__version__", "load_case", "open_results", "prepare", "read_geometry
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module on first use (PEP 562)."""
+    if name == "__version__":
+        return _version()
     if name in _HOME:
         return getattr(import_module(_HOME[name]), name)
     raise AttributeError(f"module 'phantomnode' has no attribute {name!r}")
+
+
+def _version() -> str:
+    """Of the installed distribution."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("phantomnode")
+    except PackageNotFoundError:  # a bare checkout on the path, not installed
+        return "0+unknown"
