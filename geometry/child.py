@@ -45,7 +45,7 @@ class Child:
         except subprocess.TimeoutExpired:
             raise GeometryError(
                 f"reading it took more than {self._time_limit:g} s (a looping script, a damaged file, or a very "
-                "large part); simplify it or give a larger time_limit"
+                "large part); simplify it or allow it more (time_limit, --time-limit)"
             ) from None
         text = self._answer.read_text(encoding="utf-8") if self._answer.exists() else ""
         if not text.endswith(self._token):

@@ -13,7 +13,7 @@ import numpy as np
 from phantomnode.geometry.curves import Geometry, Region, part_names
 from phantomnode.geometry.errors import OutlineError
 from phantomnode.geometry.findings import complaint
-from phantomnode.geometry.readers import read_geometry
+from phantomnode.geometry.readers import TIME_LIMIT, read_geometry
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.starter import make_new
 
@@ -80,6 +80,7 @@ def write_case_for(
     without_layers: Sequence[str] = (),
     face: str | int | None = None,
     section: tuple[str, float] | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> Path:
     """Write a case in which the regions of a geometry file fall on a rigid plane, into a new folder.
 
@@ -95,6 +96,7 @@ def write_case_for(
     face : str or int, optional
     section : (str, float), optional
         What to take of a 3D part, as :func:`phantomnode.geometry.readers.read_geometry` does.
+    time_limit : float, s
 
     Raises
     ------
@@ -102,15 +104,23 @@ def write_case_for(
         If the folder holds anything already, or no body can be made of the file.
     """
     geometry = read_geometry(
-        file, unit, layers=layers, without_layers=without_layers, face=face, section=section
-    )
+        file, unit, layers=layers, without_layers=without_layers, face=face, section=section,
+        time_limit=time_limit,
+    )  # fmt: skip
     if geometry.wrong:
         raise OutlineError(f"{file}: {complaint(geometry.findings, geometry.unit)}", geometry)
     if not geometry.regions:
         raise CaseError(
             f"{file}: holds no closed outline, and a body needs one; look: phantomnode inspect {file}"
         )
-    wanted = {"layers": layers, "without_layers": without_layers, "face": face, "section": section}
+    wanted: dict[str, Any] = {
+        "layers": layers,
+        "without_layers": without_layers,
+        "face": face,
+        "section": section,
+    }
+    if time_limit != TIME_LIMIT:
+        wanted["time_limit"] = time_limit
     text = _case(folder, file.name, geometry, wanted)
     make_new(folder)
     shutil.copyfile(file, folder / file.name)
@@ -157,8 +167,8 @@ def _value(chosen: Any) -> str:
     """A choice of layers, a face or a section as TOML."""
     if isinstance(chosen, tuple) and isinstance(chosen[-1], float):
         return f'{{ axis = "{chosen[0]}", at = {chosen[1]!r} }}'
-    if isinstance(chosen, int):
-        return str(chosen)
+    if isinstance(chosen, int | float):
+        return repr(chosen)
     return _quoted(chosen) if isinstance(chosen, str) else f"[{', '.join(map(_quoted, chosen))}]"
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from phantomnode.pipeline.console import DONE, guarded
 
@@ -42,6 +43,9 @@ Trust = Annotated[
     bool,
     Parameter(negative=(), show_default=False, help="Run commands in a .geo script (it can do anything)."),
 ]
+TimeLimit = Annotated[
+    float, Parameter(help="Give up reading the file after so many seconds.", validator=Number(gt=0.0))
+]
 
 
 def inspect(
@@ -56,6 +60,7 @@ def inspect(
     face: FaceOption = None,
     section: SectionOption = None,
     trust_scripts: Trust = False,
+    time_limit: TimeLimit = 30.0,
     out: Annotated[
         Path | None, Parameter(help="The picture, a .png file; results/inspect/FILE.png unless given.")
     ] = None,
@@ -78,7 +83,7 @@ def inspect(
 
         found = inspect_file(
             file, unit, layers=layer, without_layers=without_layer, trust_scripts=trust_scripts,
-            **_part(face, section),
+            time_limit=time_limit, **_part(face, section),
         )  # fmt: skip
         picture = out or Path("results") / "inspect" / f"{file.name}.png"
         make_folder(picture.parent)
@@ -103,6 +108,7 @@ def new(
     without_layer: WithoutLayers = (),
     face: FaceOption = None,
     section: SectionOption = None,
+    time_limit: TimeLimit = 30.0,
 ) -> int:
     """Write a commented starter case: a disc from a DXF drawing falls on a block, or your drawing falls on a plane.
 
@@ -131,7 +137,10 @@ def new(
             from phantomnode.pipeline.adoption import write_case_for
 
             part = _part(face, section)
-            folder, copied = write_case_for(Path(name), from_, unit, layer, without_layer, **part), from_.name
+            folder = write_case_for(
+                Path(name), from_, unit, layer, without_layer, **part, time_limit=time_limit
+            )
+            copied = from_.name
         console.print(f"Wrote {folder / 'case.toml'} and {folder / copied}.", highlight=False, soft_wrap=True)
         then = "run" if from_ is None else "check"
         console.print(f"Next:  phantomnode {then} {quote(name)}", highlight=False, soft_wrap=True)

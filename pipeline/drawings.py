@@ -67,13 +67,12 @@ class Drawings:
     def _request(self, table: Drawing | FileGrid) -> Request:
         """How the file of a table is read."""
         assert table.file is not None
-        path, unit = self._case.path(table.file), ("unit", table.unit)
+        path, every = self._case.path(table.file), ("unit", "time_limit")
         if isinstance(table, FileGrid):
-            return quads_reading, path, (unit,)
+            return quads_reading, path, tuple((key, getattr(table, key)) for key in every)
         section = None if table.section is None else (table.section.axis, table.section.at)
-        keys = ("layers", "without_layers", "trust_scripts", "face")
-        options = tuple((key, getattr(table, key)) for key in keys)
-        return geometry_reading, path, (unit, *options, ("section", section))
+        keys = (*every, "layers", "without_layers", "trust_scripts", "face")
+        return geometry_reading, path, (*((key, getattr(table, key)) for key in keys), ("section", section))
 
     def _result(self, table: Drawing | FileGrid) -> Any:
         """What the file of a table holds, read once."""

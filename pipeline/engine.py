@@ -165,9 +165,11 @@ def _shielded() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    resource_tracker.ensure_running()  # a thread that starts it hears signals again
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {getattr(signal, kind) for kind in KINDS})
+    kinds = {getattr(signal, kind) for kind in KINDS}
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, kinds)
     try:
+        resource_tracker.ensure_running()  # which lets this thread hear some of them again
+        signal.pthread_sigmask(signal.SIG_BLOCK, kinds)
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -12,7 +12,7 @@ import numpy as np
 from phantomnode.geometry.curves import Geometry, diagonal, part_names
 from phantomnode.geometry.errors import NoUnitError, OutlineError
 from phantomnode.geometry.findings import HEALED, WRONG
-from phantomnode.geometry.readers import read_geometry
+from phantomnode.geometry.readers import TIME_LIMIT, read_geometry
 from phantomnode.geometry.units import metres, size_note
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def inspect_file(
     trust_scripts: bool = False,
     face: str | int | None = None,
     section: tuple[str, float] | None = None,
+    time_limit: float = TIME_LIMIT,
 ) -> Inspection:
     """Read a file as :func:`phantomnode.geometry.readers.read_geometry` does, also where outlines cross.
 
@@ -65,7 +66,7 @@ def inspect_file(
     def read(unit: str | None) -> Geometry:
         return read_geometry(
             path, unit, layers=layers, without_layers=without_layers, trust_scripts=trust_scripts, face=face,
-            section=section,
+            section=section, time_limit=time_limit,
         )  # fmt: skip
 
     try:

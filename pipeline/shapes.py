@@ -99,7 +99,7 @@ class Drawing(Placement):
     trust_scripts: Switch = Field(
         default=False, description="run commands in a .geo script (it can do anything)"
     )
-
+    time_limit: Positive = Field(default=30.0, description="give up reading the file after so many seconds")
     face: (
         Annotated[
             Annotated[Count, Tag("=number")] | Annotated[str, Field(min_length=1), Tag("=text")],
@@ -246,6 +246,7 @@ class FileGrid(Table):
         min_length=1, description="gmsh file (.msh) of quadrilaterals, relative to the case file"
     )
     unit: Unit | None = Field(default=None, description='length unit of the file, such as "mm"')
+    time_limit: Positive = Field(default=30.0, description="give up reading the file after so many seconds")
 
 
 Grid = Annotated[

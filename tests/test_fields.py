@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import mmap
+import threading
 import xml.etree.ElementTree as ET
 
 import meshio
@@ -240,6 +242,30 @@ def test_arrays_are_read_back(tmp_path, precision, compression):
             np.testing.assert_array_equal(mesh.points[:, :2], points.astype(precision))
             np.testing.assert_array_equal(mesh.point_data["value"], value.astype(precision))
             np.testing.assert_array_equal(mesh.point_data["number"], np.arange(count))
+
+
+def test_equal_arrays_are_packed_into_equal_bytes_wherever_the_stack_lies():
+    """ISA-L alone, without what data_array does about it, gives others on one stack in some hundred."""
+    ones, packed, stacks, random = np.ones(32, np.float32), set(), set(), np.random.default_rng(1)
+
+    def pack():
+        if (stack := threading.get_ident() >> 16) not in stacks:
+            stacks.add(stack)
+            packed.add(vtu.data_array("ones", ones).content)
+
+    before = threading.stack_size()
+    try:
+        for _ in range(1500):
+            threading.stack_size(int(random.integers(16, 600)) << 16)
+            gap = mmap.mmap(-1, int(random.integers(1, 2000)) << 16)  # shifts where the next stack lies
+            thread = threading.Thread(target=pack)
+            thread.start()
+            thread.join()
+            if random.random() < 0.5:
+                gap.close()
+    finally:
+        threading.stack_size(before)
+    assert len(packed) == 1
 
 
 @pytest.mark.parametrize("compression", ["zlib", "lz4", "none"])

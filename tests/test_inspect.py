@@ -15,6 +15,7 @@ from phantomnode.pipeline import cli, cli_files, console
 from phantomnode.pipeline.bodies import cut_body
 from phantomnode.pipeline.case import load_case
 from phantomnode.pipeline.drawings import Drawings
+from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.prepare import prepare
 
 
@@ -187,6 +188,23 @@ def test_a_region_that_is_not_there_is_answered_with_those_that_are(
     (tmp_path / "case.toml").write_text(CASE)
     with pytest.raises(ValueError, match=said):
         prepare(load_case(str(tmp_path), (f"body.part.geometry.region={region}",)))
+
+
+def test_reading_is_given_up_after_the_time_that_was_allowed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A hundredth of a second is less than a process needs to start."""
+    monkeypatch.chdir(tmp_path)
+    file = drawing(tmp_path / "d.dxf", two_parts)
+    assert cli_files.inspect(file, time_limit=0.01) == console.INPUT_AT_FAULT
+    assert "took more than 0.01 s" in capsys.readouterr().err
+    assert cli_files.new("n", from_=file, time_limit=60.0) == console.DONE
+    case = load_case("n", ())
+    assert {body.geometry.time_limit for body in case.body.values()} == {60.0}
+    with pytest.raises(
+        CaseError, match=r"body\.plate_1\.geometry: .*d\.dxf: reading it took more than 0\.01 s"
+    ):
+        prepare(load_case("n", ("body.plate_1.geometry.time_limit=0.01",)))
 
 
 def test_the_regions_of_a_drawing_keep_their_numbers(tmp_path: Path) -> None:
