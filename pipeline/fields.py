@@ -30,7 +30,7 @@ from phantomnode.pipeline.vtu import (
     cells,
     data_array,
     vectors,
-    vtu_bytes,
+    vtu_pieces,
 )
 from phantomnode.solver.contact import reference_length
 
@@ -180,13 +180,13 @@ class BodiesFile:
             "velocity": np.zeros((len(self._start), 3), kind),
         }
 
-    def vtu(self, frame: Frame) -> bytes:
-        """The content of one file."""
+    def vtu(self, frame: Frame) -> list[bytes]:
+        """The content of one file, in pieces."""
         self._set_state(frame.u)
         u = self._clipped.interpolate(frame.u)
         self._motion["displacement"][:, :2] = u
         self._motion["velocity"][:, :2] = self._clipped.interpolate(frame.v)
-        return vtu_bytes(
+        return vtu_pieces(
             self._start + u, self._cells, self._motion, {**self._state, **self._labels}, frame.time,
             self._encoding, self._points_as,
         )  # fmt: skip
@@ -287,8 +287,8 @@ class ContactFile:
         self._cells = cells((VTK_LINE, np.arange(2 * sum(counts)).reshape(-1, 2)), encoding=encoding)
         self._pair = data_array("pair", np.repeat(numbers, counts), encoding)
 
-    def vtu(self, frame: Frame) -> bytes:
-        """The content of one file."""
+    def vtu(self, frame: Frame) -> list[bytes]:
+        """The content of one file, in pieces."""
         prepared = self._prepared
         lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
         lines += [_obstacle_lines(rigid, prepared.model.x + frame.u) for rigid in prepared.rigids]
@@ -302,4 +302,4 @@ class ContactFile:
             "pair": self._pair,
         }
         points, encoding = ends.reshape(-1, 2), self._encoding
-        return vtu_bytes(points, self._cells, {}, cell_data, frame.time, encoding, self._points_as)
+        return vtu_pieces(points, self._cells, {}, cell_data, frame.time, encoding, self._points_as)

@@ -26,7 +26,7 @@ class WriteError(OSError):
         return f"{where}{self.strerror}{f'; {self.advice}' if self.advice else ''}"
 
 
-def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) -> None:
+def write_atomically(path: Path, content: bytes | memoryview | str, *, durable: bool = True) -> None:
     """Write a file so that no reader ever meets a part of it.
 
     The bytes go to a temporary name in the same folder, reach the disk, and take the final name in one step
@@ -37,7 +37,7 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
     ----------
     path : Path
         The file; its folder must exist.
-    content : bytes or str
+    content : bytes, memoryview or str
         Everything that it will hold.
     durable : bool
         Wait for the disk. Without that the file is whole for every reader, but a power cut may empty it until
@@ -69,7 +69,7 @@ def write_atomically(path: Path, content: bytes | str, *, durable: bool = True) 
         raise
 
 
-def write_all(handle: int, data: bytes) -> None:
+def write_all(handle: int, data: bytes | memoryview) -> None:
     """Write all bytes to a file; a disk that takes a part of them only is full."""
     left = memoryview(data)
     while left:

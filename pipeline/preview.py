@@ -14,7 +14,7 @@ from phantomnode.pipeline.field_pictures import draw_field
 from phantomnode.pipeline.fields import cell_fields, tensors
 from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.prepare import Prepared
-from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, cells, vectors, vtu_bytes
+from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, cells, vectors, vtu_pieces
 
 if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
@@ -30,7 +30,7 @@ def preview_vtu(prepared: Prepared) -> bytes:
         "fraction": clipped.fraction,
         "cut": (np.arange(len(clipped.body)) >= len(clipped.quads)).astype(np.int32),
     }
-    return vtu_bytes(clipped.interpolate(prepared.model.x), grid, {}, cell_data)
+    return b"".join(vtu_pieces(clipped.interpolate(prepared.model.x), grid, {}, cell_data))
 
 
 def frame_of_state(prepared: Prepared, frame: Frame) -> FieldsFrame:

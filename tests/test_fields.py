@@ -16,7 +16,7 @@ from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import Fields, contact_lines, encoding_of_points
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.schema import FieldFrames
-from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, Encoding, Series, cells, vtu_bytes
+from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, Encoding, Series, cells, vtu_pieces
 from phantomnode.pipeline.vtu_reader import read_vtu
 
 FLOAT32 = 2e-7
@@ -195,7 +195,7 @@ def test_series_is_whole_after_every_frame(tmp_path):
     grid = cells((VTK_QUAD, np.array([[0, 1, 2, 3]])), (VTK_TRIANGLE, np.array([[0, 1, 2]])))
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     for k in range(3):
-        series.add(0.1 * k, vtu_bytes(square, grid, {}, {"value": np.arange(2.0)}, 0.1 * k))
+        series.add(0.1 * k, vtu_pieces(square, grid, {}, {"value": np.arange(2.0)}, 0.1 * k))
         entries = ET.parse(io.BytesIO((tmp_path / "a & b.pvd").read_bytes())).getroot().iter("DataSet")
         assert len([meshio.read(tmp_path / e.get("file")) for e in entries]) == k + 1
 
@@ -207,7 +207,7 @@ def test_frames_reach_the_disk_at_the_end_and_once_a_second_before(tmp_path, mon
     series = Series(tmp_path / "a.pvd")
     series.reach_disk()  # nothing yet
     for now[0] in (0.4, 0.8, 1.2, 1.6):
-        series.add(now[0], b"content")
+        series.add(now[0], [b"content"])
     assert synced == ["a_00000.vtu", "a_00001.vtu", "a_00002.vtu", "a.pvd"]
     series.reach_disk()
     assert synced[4:] == ["a_00003.vtu", "a.pvd"]
@@ -223,7 +223,7 @@ def test_arrays_are_read_back(tmp_path, precision, compression):
         value[:, 2], value[0, 0] = 0.0, np.nan
         grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)), encoding=encoding)
         data = {"value": value, "number": np.arange(count), "zero": np.zeros(count)}
-        content = vtu_bytes(points, grid, data, {"side": np.array([7])}, 0.5, encoding)
+        content = b"".join(vtu_pieces(points, grid, data, {"side": np.array([7])}, 0.5, encoding))
         (tmp_path / "a.vtu").write_bytes(content)
         read = pytest.importorskip("pyvista").read(tmp_path / "a.vtu")
         np.testing.assert_array_equal(read.points[:, :2], points.astype(precision))
@@ -251,7 +251,7 @@ def test_equal_arrays_are_packed_into_equal_bytes_wherever_the_stack_lies():
     def pack():
         if (stack := threading.get_ident() >> 16) not in stacks:
             stacks.add(stack)
-            packed.add(vtu.data_array("ones", ones).content)
+            packed.add(vtu.data_array("ones", ones).pieces)
 
     before = threading.stack_size()
     try:
@@ -272,7 +272,7 @@ def test_equal_arrays_are_packed_into_equal_bytes_wherever_the_stack_lies():
 def test_damaged_files_are_named(tmp_path, compression):
     encoding, file = Encoding(compression=compression), tmp_path / "a.vtu"
     grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)), encoding=encoding)
-    content = vtu_bytes(np.eye(3, 2), grid, {}, {}, encoding=encoding)
+    content = b"".join(vtu_pieces(np.eye(3, 2), grid, {}, {}, encoding=encoding))
     for wrong in (content[:200], content[: content.index(b"_") + 30], b"", content.replace(b"raw", b"hex")):
         file.write_bytes(wrong)
         with pytest.raises(CaseError, match=r"a\.vtu: cannot be read"):

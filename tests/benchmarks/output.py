@@ -68,7 +68,16 @@ def frames_written(
         ]
         files.reach_disk()
         size = sum(file.stat().st_size for file in Path(folder).glob("*/*.vtu")) / count
+        content = bytes(int(size))
+        written = [
+            clocked(lambda number=number: Path(folder, f"{number}").write_bytes(content))
+            for number in range(count)
+        ]
     cells = len(prepared.model.elements.nodes) + len(prepared.model.cut_elements.weight) // 3
     cpu, wall = medians(runs)
     yield Figure(f"a frame, {name}", 1e3 * cpu, 1e3 * wall, "ms", f"{cells} cells", spread(runs))
     yield Figure(f"a frame, {name}", None, 1e-6 * size, "MB")
+    cpu, wall = medians(written)
+    yield Figure(
+        f"a file of that size, {name}", 1e3 * cpu, 1e3 * wall, "ms", "the system alone", spread(written)
+    )
