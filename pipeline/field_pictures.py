@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,8 @@ Floats = NDArray[np.float64]
 
 OUTLIERS = 0.002
 """The colours span all but this share of the cells, so that single cells at corners do not pale the others."""
+ONE_SIDED = 0.02
+"""A signed field that reaches less far to one side of zero than this part of the other is drawn from zero on."""
 MARGIN = 0.05
 """Of the size of the bodies, about them."""
 FAR = 0.25
@@ -34,12 +37,32 @@ class Limits(NamedTuple):
 
 def limits_of(values: Floats, what: Quantity) -> Limits:
     """The span of the colours for some values: from zero, about zero or about one."""
+    low, high = np.quantile(values, [OUTLIERS, 1.0 - OUTLIERS])
+    return _limits(float(low), float(high), what)
+
+
+def joint_limits(limits: Sequence[tuple[float, float]], what: Quantity) -> Limits:
+    """The span of the colours of several pictures."""
+    lows, highs = zip(*limits, strict=True)
+    return _limits(min(lows), max(highs), what)
+
+
+def _limits(low: float, high: float, what: Quantity) -> Limits:
     tiny = float(np.finfo(np.float32).tiny)
     if what.kind == "magnitude":
-        return Limits(0.0, max(float(np.quantile(values, 1.0 - OUTLIERS)), tiny))
+        return Limits(0.0, max(high, tiny))
     centre = 1.0 if what.kind == "ratio" else 0.0
-    reach = max(float(np.quantile(np.abs(values - centre), 1.0 - OUTLIERS)), 1e-12 if centre else tiny)
+    below, above = centre - low, high - centre
+    reach = max(below, above, 1e-12 if centre else tiny)
+    if what.kind == "signed" and min(below, above) < ONE_SIDED * reach:
+        return Limits(0.0, reach) if above >= below else Limits(-reach, 0.0)
     return Limits(centre - reach, centre + reach)
+
+
+def map_of(limits: tuple[float, float], what: Quantity) -> str:
+    """The name of matplotlib's colour map: pale in the middle only where zero lies there."""
+    one_sided = what.kind == "signed" and limits[0] * limits[1] >= 0.0
+    return MAPS["magnitude" if one_sided else what.kind]
 
 
 def view_box(*frames: FieldsFrame) -> Floats:
@@ -96,7 +119,7 @@ class FieldPicture:
         self._factor, unit = readable(np.array(limits), self._what.unit)
         box = view_box(frame) if box is None else box
         self.figure, (axes,) = map_figure(box, width)
-        style = {"cmap": MAPS[self._what.kind], "clim": tuple(self._factor * value for value in limits)}
+        style = {"cmap": map_of(limits, self._what), "clim": tuple(self._factor * value for value in limits)}
         self._cells = [
             fill(axes, shapes, array=part, edgecolor="face", **style)
             for shapes, part in self._shapes(frame, values)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phantomnode.pipeline.curve_pictures import unit_of
 from phantomnode.pipeline.drawing import equal_axes, fill, lines, moment, new_figure, readable
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.field_pictures import MAPS, Limits, limits_of, view_box
+from phantomnode.pipeline.field_pictures import Limits, limits_of, map_of, view_box
 from phantomnode.pipeline.figure_checks import MISSED
 from phantomnode.pipeline.figure_sources import Shown
 from phantomnode.pipeline.figure_tables import TOTAL, Figure
@@ -80,8 +80,7 @@ def _fields(figure: Figure, runs: Sequence[Shown]) -> Drawn:
     picture = new_figure(size * WIDTH, (size * PANELS / across * shape + 0.45) * down + 0.8)
     picture.set_layout_engine("compressed")  # panels of one scale leave no room between them
     panels = picture.subplots(down, across, squeeze=False, sharex=True, sharey=True).ravel()
-    colours = MAPS["magnitude" if limits.low * limits.high > 0.0 else what.kind]
-    style = {"cmap": colours, "clim": tuple(factor * value for value in limits)}
+    style = {"cmap": map_of(limits, what), "clim": tuple(factor * value for value in limits)}
     data, cells = list[Curve](), list[Any]()
     for panel, (run, frame), value in zip(panels, frames, values, strict=False):
         whole = len(frame.quads)

@@ -12,7 +12,7 @@ import numpy as np
 
 from phantomnode.pipeline.drawing import DPI
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.field_pictures import FieldPicture, Limits, limits_of, view_box
+from phantomnode.pipeline.field_pictures import FieldPicture, joint_limits, limits_of, view_box
 from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.plot import box_from, limits_from
 from phantomnode.pipeline.quantities import quantity
@@ -75,8 +75,7 @@ def write_film(
     if not frames:
         raise CaseError(f"{results.path}: no frame is written yet")
     if span is None:
-        spans = np.array([limits_of(field.values(frame), field) for frame in frames])
-        span = Limits(float(spans[:, 0].min()), float(spans[:, 1].max()))
+        span = joint_limits([limits_of(field.values(frame), field) for frame in frames], field)
     if corners is None:
         corners = view_box(*frames)
     picture = FieldPicture(frames[0], what, results.title, limits=span, box=corners)

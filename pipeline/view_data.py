@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.drawing import box_of, readable
-from phantomnode.pipeline.field_pictures import MAPS, limits_of, with_obstacles
+from phantomnode.pipeline.field_pictures import MAPS, joint_limits, limits_of, map_of, with_obstacles
 from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.packing import packed, quantised
 from phantomnode.pipeline.quantities import QUANTITIES
@@ -131,7 +131,9 @@ def _extent(results: Results, shown: list[int], fields: tuple[str, ...]) -> tupl
             values = frame.values(name)
             ranges[name].append((float(values.min()), float(values.max())))
             limits[name].append(limits_of(values, QUANTITIES[name]))
-    spans = {name: Span(_widest(ranges[name]), _widest(limits[name])) for name in fields}
+    spans = {
+        name: Span(_widest(ranges[name]), joint_limits(limits[name], QUANTITIES[name])) for name in fields
+    }
     return np.stack([low, high]), spans
 
 
@@ -150,7 +152,7 @@ def _field(name: str, span: Span, steps: NDArray[np.uint16]) -> dict[str, Any]:
         "unit": unit,
         "range": [factor * value for value in span.range],
         "limits": [factor * value for value in span.limits],
-        "map": MAPS[what.kind],
+        "map": map_of(span.limits, what),
         "values": packed(steps),
     }
 

@@ -17,7 +17,7 @@ from phantomnode.pipeline.cli import app
 from phantomnode.pipeline.curve_pictures import HISTORIES, draw_history, draw_pressure, energies
 from phantomnode.pipeline.drawing import readable
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.field_pictures import limits_of
+from phantomnode.pipeline.field_pictures import joint_limits, limits_of, map_of
 from phantomnode.pipeline.film import write_film
 from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.plot import parse_time, picture, plot_files
@@ -187,6 +187,15 @@ class TestPictures:
         low, high = limits_of(np.array([0.98, 1.01]), QUANTITIES["J"])
         assert low + high == pytest.approx(2.0)
         assert limits_of(np.abs(values), QUANTITIES["von_mises"]).low == 0.0
+
+    def test_a_signed_field_on_one_side_of_zero_takes_all_colours(self):
+        what = QUANTITIES["displacement_y"]
+        sunk = limits_of(np.linspace(-2.0, 0.0, 5001), what)
+        assert sunk == pytest.approx((-2.0, 0.0), abs=0.01) and map_of(sunk, what) == "turbo"
+        assert joint_limits([sunk, limits_of(np.zeros(3), what)], what) == sunk  # at the start of a film
+        about_zero = joint_limits([sunk, (0.0, 1.0)], what)
+        assert about_zero.low == -about_zero.high and map_of(about_zero, what) == "RdBu_r"
+        assert map_of((0.9, 1.1), QUANTITIES["J"]) == "RdBu_r"
 
     def test_a_field_is_drawn_on_equal_axes_with_unit_and_time(self, results):
         figure = results.plot("von_mises", "peak")
