@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
 from phantomnode.pipeline.clip import ClippedBodies
@@ -24,11 +23,12 @@ from phantomnode.pipeline.vtu import (
     VTK_LINE,
     VTK_QUAD,
     VTK_TRIANGLE,
-    Encoded,
     Encoding,
+    Packable,
     Series,
     cells,
     data_array,
+    packing,
     vectors,
     vtu_pieces,
 )
@@ -182,13 +182,14 @@ class BodiesFile:
 
     def vtu(self, frame: Frame) -> list[bytes]:
         """The content of one file, in pieces."""
-        self._set_state(frame.u)
         u = self._clipped.interpolate(frame.u)
         self._motion["displacement"][:, :2] = u
         self._motion["velocity"][:, :2] = self._clipped.interpolate(frame.v)
+        motion = {name: packing(name, values, self._encoding) for name, values in self._motion.items()}
+        self._set_state(frame.u)  # while the motion is packed
         return vtu_pieces(
-            self._start + u, self._cells, self._motion, {**self._state, **self._labels}, frame.time,
-            self._encoding, self._points_as,
+            self._start + u, self._cells, motion, {**self._state, **self._labels}, frame.time, self._encoding,
+            self._points_as,
         )  # fmt: skip
 
     def _set_state(self, u: Floats) -> None:
@@ -293,7 +294,7 @@ class ContactFile:
         lines = [contact_lines(prepared, number, frame) for number in range(len(prepared.pairs))]
         lines += [_obstacle_lines(rigid, prepared.model.x + frame.u) for rigid in prepared.rigids]
         ends, pressure, filtered, traction, gap, normal = map(np.concatenate, zip(*lines, strict=True))
-        cell_data: Mapping[str, NDArray[np.generic] | Encoded] = {
+        cell_data: Mapping[str, Packable] = {
             "pressure": pressure,
             "pressure_filtered": filtered,
             "traction": vectors(traction),

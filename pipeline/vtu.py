@@ -12,6 +12,8 @@ from __future__ import annotations
 import hashlib
 import zlib
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from html import escape
 from pathlib import Path
 from time import monotonic
@@ -52,6 +54,10 @@ class Encoded(NamedTuple):
 
     attributes: str
     pieces: tuple[bytes, ...]
+
+
+Packable = Array | Encoded | Future[Encoded]
+"""An array, or what is stored of it, or will be."""
 
 
 class Cells(NamedTuple):
@@ -125,8 +131,8 @@ def _lz4(stored: Array) -> tuple[bytes, ...]:
 def vtu_pieces(
     points: Floats,
     grid: Cells,
-    point_data: Mapping[str, Array | Encoded],
-    cell_data: Mapping[str, Array | Encoded],
+    point_data: Mapping[str, Packable],
+    cell_data: Mapping[str, Packable],
     time: float | None = None,
     encoding: Encoding = SMALL_AND_FAST,
     points_as: Encoding | None = None,
@@ -138,7 +144,7 @@ def vtu_pieces(
     points : (p, 2) float64, metres
     grid : Cells
     point_data, cell_data : mapping of str to (p,) or (p, k), (m,) or (m, k) arrays
-        Or to what :func:`data_array` made of them, with the same compression.
+        Or to what :func:`data_array` made of them or :func:`packing` makes of them, with the same compression.
     time : float, s, optional
         Stored as the field data ``TimeValue``, which ParaView takes as the file's own time.
     encoding : Encoding
@@ -152,13 +158,16 @@ def vtu_pieces(
         if time is not None
         else ""
     )
-    places = data_array("Points", vectors(points), points_as or encoding)
-    sections = {
-        "PointData": _encoded(point_data, encoding),
-        "CellData": _encoded(cell_data, encoding),
-        "Points": [places],
-        "Cells": list(grid.arrays),
+    begun: dict[str, list[Encoded | Future[Encoded]]] = {
+        "PointData": _begun(point_data, encoding),
+        "CellData": _begun(cell_data, encoding),
+        "Points": [packing("Points", vectors(points), points_as or encoding)],
     }
+    sections = {
+        name: [packed.result() if isinstance(packed, Future) else packed for packed in arrays]
+        for name, arrays in begun.items()
+    }
+    sections["Cells"] = list(grid.arrays)
     offset, tags, contents = 0, list[str](), list[bytes]()
     for section, arrays in reversed(sections.items()):
         tags.append(f"</{section}>\n")
@@ -177,12 +186,23 @@ def vtu_pieces(
     return [start.encode(), *contents, b"\n</AppendedData>\n</VTKFile>\n"]
 
 
-def _encoded(arrays: Mapping[str, Array | Encoded], encoding: Encoding) -> list[Encoded]:
-    """The arrays of points or cells as they are stored."""
+def packing(name: str, values: Array, encoding: Encoding = SMALL_AND_FAST) -> Future[Encoded]:
+    """What :func:`data_array` returns, in another thread; the values must stay until it is there."""
+    return _threads().submit(data_array, name, values, encoding)
+
+
+def _begun(arrays: Mapping[str, Packable], encoding: Encoding) -> list[Encoded | Future[Encoded]]:
+    """The arrays of points or cells, on their way to what is stored."""
     return [
-        values if isinstance(values, Encoded) else data_array(name, values, encoding)
+        values if isinstance(values, Encoded | Future) else packing(name, values, encoding)
         for name, values in arrays.items()
     ]
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Two threads for what does not need Python's lock: to pack arrays and to hash files."""
+    return ThreadPoolExecutor(2, thread_name_prefix="packing")
 
 
 class Series:
@@ -219,10 +239,11 @@ class Series:
     def add(self, time: float, pieces: Sequence[bytes]) -> Path:
         """Write the next frame (the pieces of a .vtu) at a time in seconds, then the .pvd anew."""
         frame, content = self._frame(len(self._times)), self._joined(pieces)
+        digest = _threads().submit(hashlib.sha256, content)
         write_atomically(frame, content, durable=False)
         self._in_memory.append(frame)
         self._times.append(time)
-        self._digests.append(hashlib.sha256(content).hexdigest())
+        self._digests.append(digest.result().hexdigest())
         self._write_index()
         if monotonic() > self._waited + 1.0:
             self.reach_disk()
