@@ -83,7 +83,7 @@ def test_the_cells_drawn_cover_the_bodies_once(name: str, tmp_path: Path) -> Non
     prepared = prepare(case)
     clipped = ClippedBodies.of(prepared)
     frame = next(frames_of(prepared, np.array([0, 1]), 1, None, Stopping()))
-    (tmp_path / "a.vtu").write_bytes(BodiesFile(prepared).vtu(frame))
+    (tmp_path / "a.vtu").write_bytes(b"".join(BodiesFile(prepared).vtu(frame)))
     written = pyvista.read(tmp_path / "a.vtu")
     cells = polygons_of(clipped, np.asarray(written.points)[:, :2])
     for number, body in enumerate(prepared.bodies):
