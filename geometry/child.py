@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +23,20 @@ class Child:
     """
 
     def __init__(self, request: dict[str, Any], content: bytes, time_limit: float) -> None:
-        self._token = secrets.token_hex(16)
-        self._time_limit, self._latest = time_limit, time.monotonic() + time_limit
+        self._token, self._time_limit = secrets.token_hex(16), time_limit
         self._folder = tempfile.TemporaryDirectory(prefix="phantomnode-", ignore_cleanup_errors=True)
         self._answer = Path(self._folder.name, "answer.json")
         source = Path(self._folder.name, "content")
-        source.write_bytes(content)
         arguments = [json.dumps(request), source.name, self._answer.name, self._token, f"{time_limit!r}"]
-        self._process = _started(arguments, self._folder.name)
+        try:
+            source.write_bytes(content)
+            self._process = _started(arguments, self._folder.name)
+        except OSError:
+            self._folder.cleanup()
+            raise
 
     def answer(self) -> Any:
-        """What it answers.
+        """What it answers, within the time limit from now on.
 
         Raises
         ------
@@ -41,7 +44,7 @@ class Child:
             With its reason, or with what became of it.
         """
         try:
-            said = self._process.communicate(timeout=max(0.0, self._latest - time.monotonic()))[1]
+            said = self._process.communicate(timeout=self._time_limit)[1]
         except subprocess.TimeoutExpired:
             raise GeometryError(
                 f"reading it took more than {self._time_limit:g} s (a looping script, a damaged file, or a very "
@@ -57,14 +60,21 @@ class Child:
         return answer["result"]
 
     def end(self) -> None:
-        """End it, on POSIX with whatever it started, and remove its directory."""
+        """End it where it still runs, on POSIX with whatever it started, and remove its directory."""
         if self._process.poll() is None:
-            if os.name == "posix":
-                os.killpg(self._process.pid, signal.SIGKILL)
-            else:
-                self._process.kill()
-        self._process.communicate()
+            with suppress(ProcessLookupError, PermissionError):  # where it has ended meanwhile
+                _kill(self._process)
+        self._process.wait()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
         self._folder.cleanup()
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    if os.name == "posix":
+        os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
 
 
 def _started(arguments: list[str], folder: str) -> subprocess.Popen[bytes]:

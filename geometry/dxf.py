@@ -129,6 +129,7 @@ def read_dxf(
     unit : str or None
         Goes before that of the file.
     time_limit : float, s
+        Of processor time.
     layers, without_layers : sequence of str
         Names or patterns ("cut*"). Without ``layers`` all that are shown count.
 
@@ -139,7 +140,7 @@ def read_dxf(
     """
     import ezdxf
 
-    deadline = time.monotonic() + time_limit
+    deadline = time.process_time() + time_limit
     with quiet():
         document, notes = load(content)
         name, unit_notes = chosen(unit, INSUNITS.get(_header(document, "$INSUNITS", 0)), _unit_hint(document))
@@ -244,7 +245,7 @@ def _expanded(space: Any, layers: _Layers, deadline: float) -> Iterator[_Shown]:
             stack.pop()
             continue
         count += 1
-        if count > MOST_ENTITIES or time.monotonic() > deadline:
+        if count > MOST_ENTITIES or time.process_time() > deadline:
             raise GeometryError(
                 f"the drawing holds more than {min(count, MOST_ENTITIES)} entities with its blocks expanded, "
                 "too many to read in the time: explode or purge its blocks, keep the outline only"

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 import os
 
+TIME_LIMIT = 30.0
+"""Seconds after which reading a file is given up, unless told otherwise."""
+
+LONGEST = 86400.0
+"""Seconds that can be allowed."""
+
 ADDRESS_SPACE = 4 << 30
 """Bytes of memory: a planar drawing needs a hundredth of it."""
 

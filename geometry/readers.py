@@ -18,10 +18,8 @@ from phantomnode.geometry.curves import Geometry
 from phantomnode.geometry.errors import GeometryError, OutlineError
 from phantomnode.geometry.findings import complaint
 from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.limits import TIME_LIMIT
 from phantomnode.geometry.numbering import renumbered
-
-TIME_LIMIT = 30.0
-"""Seconds after which reading a file is given up."""
 
 MOST_BYTES = 1 << 30
 """Of a file: one of 1e7 nodes has as many, and reading it needs more memory than the reader gets."""
@@ -51,10 +49,14 @@ class Reading(Generic[Result]):
     ) -> None:
         self._path, self._finish = path, finish
         with _about(path):
-            self._child = Child(request, _content(Path(path)), time_limit)
+            content = _content(Path(path))
+            try:
+                self._child = Child(request, content, time_limit)
+            except OSError as error:
+                raise GeometryError(f"no process can be started to read it ({error.strerror})") from error
 
     def result(self) -> Result:
-        """Wait for it.
+        """Wait for it, no longer than the time limit from now on.
 
         Raises
         ------

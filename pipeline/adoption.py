@@ -13,7 +13,8 @@ import numpy as np
 from phantomnode.geometry.curves import Geometry, Region, part_names
 from phantomnode.geometry.errors import OutlineError
 from phantomnode.geometry.findings import complaint
-from phantomnode.geometry.readers import TIME_LIMIT, read_geometry
+from phantomnode.geometry.limits import TIME_LIMIT
+from phantomnode.geometry.readers import read_geometry
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.starter import make_new
 
@@ -113,14 +114,13 @@ def write_case_for(
         raise CaseError(
             f"{file}: holds no closed outline, and a body needs one; look: phantomnode inspect {file}"
         )
-    wanted: dict[str, Any] = {
+    wanted = {
         "layers": layers,
         "without_layers": without_layers,
         "face": face,
         "section": section,
+        "time_limit": None if time_limit == TIME_LIMIT else time_limit,
     }
-    if time_limit != TIME_LIMIT:
-        wanted["time_limit"] = time_limit
     text = _case(folder, file.name, geometry, wanted)
     make_new(folder)
     shutil.copyfile(file, folder / file.name)
@@ -164,7 +164,7 @@ def _case(folder: Path, file: str, geometry: Geometry, wanted: Mapping[str, Any]
 
 
 def _value(chosen: Any) -> str:
-    """A choice of layers, a face or a section as TOML."""
+    """A choice of layers, a face, a section or a time as TOML."""
     if isinstance(chosen, tuple) and isinstance(chosen[-1], float):
         return f'{{ axis = "{chosen[0]}", at = {chosen[1]!r} }}'
     if isinstance(chosen, int | float):

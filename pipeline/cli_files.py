@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
+from phantomnode.geometry.limits import LONGEST, TIME_LIMIT
 from phantomnode.pipeline.console import DONE, guarded
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ Trust = Annotated[
     Parameter(negative=(), show_default=False, help="Run commands in a .geo script (it can do anything)."),
 ]
 TimeLimit = Annotated[
-    float, Parameter(help="Give up reading the file after so many seconds.", validator=Number(gt=0.0))
+    float,
+    Parameter(help="Give up reading the file after so many seconds.", validator=Number(gt=0.0, lte=LONGEST)),
 ]
 
 
@@ -60,7 +62,7 @@ def inspect(
     face: FaceOption = None,
     section: SectionOption = None,
     trust_scripts: Trust = False,
-    time_limit: TimeLimit = 30.0,
+    time_limit: TimeLimit = TIME_LIMIT,
     out: Annotated[
         Path | None, Parameter(help="The picture, a .png file; results/inspect/FILE.png unless given.")
     ] = None,
@@ -108,7 +110,7 @@ def new(
     without_layer: WithoutLayers = (),
     face: FaceOption = None,
     section: SectionOption = None,
-    time_limit: TimeLimit = 30.0,
+    time_limit: TimeLimit = TIME_LIMIT,
 ) -> int:
     """Write a commented starter case: a disc from a DXF drawing falls on a block, or your drawing falls on a plane.
 

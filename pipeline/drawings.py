@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from phantomnode.geometry.curves import Geometry
 from phantomnode.geometry.errors import GeometryError
@@ -15,11 +16,20 @@ from phantomnode.pipeline.crosscheck import tables_with_files
 from phantomnode.pipeline.schema import Case
 from phantomnode.pipeline.shapes import Drawing, FileGrid
 
-AT_ONCE = 4
+AT_ONCE = min(4, os.cpu_count() or 1)
 """Processes that read at the same time; each has a second's work or so, and some hundred MB."""
 
-Request = tuple[Callable[..., Reading[Any]], Path, tuple[tuple[str, Any], ...]]
-"""What begins a reading, the file, and how it is read."""
+
+class Request(NamedTuple):
+    """What begins a reading, the file, and how it is read."""
+
+    begin: Callable[..., Reading[Any]]
+    path: Path
+    options: tuple[tuple[str, Any], ...]
+
+    def begun(self) -> Reading[Any]:
+        """The reading, begun."""
+        return self.begin(self.path, **dict(self.options))
 
 
 class Drawings:
@@ -61,24 +71,31 @@ class Drawings:
         return self
 
     def __exit__(self, *failure: object) -> None:
-        for reading in self._reading.values():
-            reading.end()
+        with ExitStack() as ending:
+            for reading in self._reading.values():
+                ending.callback(reading.end)
 
     def _request(self, table: Drawing | FileGrid) -> Request:
         """How the file of a table is read."""
         assert table.file is not None
-        path, every = self._case.path(table.file), ("unit", "time_limit")
+        path = self._case.path(table.file)
+        common = ("unit", table.unit), ("time_limit", table.time_limit)
         if isinstance(table, FileGrid):
-            return quads_reading, path, tuple((key, getattr(table, key)) for key in every)
-        section = None if table.section is None else (table.section.axis, table.section.at)
-        keys = (*every, "layers", "without_layers", "trust_scripts", "face")
-        return geometry_reading, path, (*((key, getattr(table, key)) for key in keys), ("section", section))
+            return Request(quads_reading, path, common)
+        options = (
+            ("layers", table.layers),
+            ("without_layers", table.without_layers),
+            ("trust_scripts", table.trust_scripts),
+            ("face", table.face),
+            ("section", table.section and (table.section.axis, table.section.at)),
+        )
+        return Request(geometry_reading, path, (*common, *options))
 
     def _result(self, table: Drawing | FileGrid) -> Any:
         """What the file of a table holds, read once."""
         request = self._request(table)
         if request not in self._read:
-            with self._reading.pop(request, None) or _begun(request) as reading:
+            with self._reading.pop(request, None) or request.begun() as reading:
                 self._read[request] = reading.result()
             self._begin_more()
         return self._read[request]
@@ -88,11 +105,5 @@ class Drawings:
         while self._ahead and len(self._reading) < AT_ONCE:
             request = self._ahead.pop(0)
             if request not in self._reading and request not in self._read:
-                with suppress(GeometryError):  # of a file that is not there; told where it is asked for
-                    self._reading[request] = _begun(request)
-
-
-def _begun(request: Request) -> Reading[Any]:
-    """A reading, begun."""
-    begin, path, options = request
-    return begin(path, **dict(options))
+                with suppress(GeometryError):  # what is wrong is told where the file is asked for
+                    self._reading[request] = request.begun()

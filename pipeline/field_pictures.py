@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 OUTLIERS = 0.002
-"""The colours span all but this share of the cells, so that single cells at corners do not pale the others."""
+"""The colours span all but this share of the cells at either end, so that single cells at corners do not pale the
+others."""
 ONE_SIDED = 0.02
 """A signed field that reaches less far to one side of zero than this part of the other is drawn from zero on."""
 MARGIN = 0.05
@@ -36,7 +37,7 @@ class Limits(NamedTuple):
 
 
 def limits_of(values: Floats, what: Quantity) -> Limits:
-    """The span of the colours for some values: from zero, about zero or about one."""
+    """The span of the colours for some values: from zero or to zero, about zero, or about one."""
     low, high = np.quantile(values, [OUTLIERS, 1.0 - OUTLIERS])
     return _limits(float(low), float(high), what)
 
@@ -48,6 +49,7 @@ def joint_limits(limits: Sequence[tuple[float, float]], what: Quantity) -> Limit
 
 
 def _limits(low: float, high: float, what: Quantity) -> Limits:
+    """The span of the colours for values from low to high."""
     tiny = float(np.finfo(np.float32).tiny)
     if what.kind == "magnitude":
         return Limits(0.0, max(high, tiny))

@@ -28,7 +28,7 @@ from phantomnode.pipeline.vtu import (
     Series,
     cells,
     data_array,
-    packing,
+    packed_soon,
     vectors,
     vtu_pieces,
 )
@@ -185,7 +185,7 @@ class BodiesFile:
         u = self._clipped.interpolate(frame.u)
         self._motion["displacement"][:, :2] = u
         self._motion["velocity"][:, :2] = self._clipped.interpolate(frame.v)
-        motion = {name: packing(name, values, self._encoding) for name, values in self._motion.items()}
+        motion = {name: packed_soon(name, values, self._encoding) for name, values in self._motion.items()}
         self._set_state(frame.u)  # while the motion is packed
         return vtu_pieces(
             self._start + u, self._cells, motion, {**self._state, **self._labels}, frame.time, self._encoding,

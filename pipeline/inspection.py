@@ -12,7 +12,8 @@ import numpy as np
 from phantomnode.geometry.curves import Geometry, diagonal, part_names
 from phantomnode.geometry.errors import NoUnitError, OutlineError
 from phantomnode.geometry.findings import HEALED, WRONG
-from phantomnode.geometry.readers import TIME_LIMIT, read_geometry
+from phantomnode.geometry.limits import TIME_LIMIT
+from phantomnode.geometry.readers import read_geometry
 from phantomnode.geometry.units import metres, size_note
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from phantomnode.geometry.limits import LONGEST, TIME_LIMIT
 from phantomnode.pipeline.values import (
     Count,
     Counts,
@@ -20,6 +21,8 @@ from phantomnode.pipeline.values import (
     kind_of_grid,
     kind_of_value,
 )
+
+Seconds = Annotated[float, Field(strict=True, gt=0.0, le=LONGEST)]
 
 
 class Placement(Table):
@@ -99,7 +102,9 @@ class Drawing(Placement):
     trust_scripts: Switch = Field(
         default=False, description="run commands in a .geo script (it can do anything)"
     )
-    time_limit: Positive = Field(default=30.0, description="give up reading the file after so many seconds")
+    time_limit: Seconds = Field(
+        default=TIME_LIMIT, description="give up reading the file after so many seconds"
+    )
     face: (
         Annotated[
             Annotated[Count, Tag("=number")] | Annotated[str, Field(min_length=1), Tag("=text")],
@@ -118,6 +123,8 @@ class Drawing(Placement):
         for key in ("unit", "region", "layers", "without_layers", "trust_scripts", "face", "section"):
             if self.file is None and getattr(self, key, None):
                 raise ValueError(f"{key} belongs to a file, but no file is given; shapes are in metres")
+        if self.file is None and self.time_limit != TIME_LIMIT:
+            raise ValueError("time_limit belongs to a file, but no file is given")
         return self
 
 
@@ -246,7 +253,9 @@ class FileGrid(Table):
         min_length=1, description="gmsh file (.msh) of quadrilaterals, relative to the case file"
     )
     unit: Unit | None = Field(default=None, description='length unit of the file, such as "mm"')
-    time_limit: Positive = Field(default=30.0, description="give up reading the file after so many seconds")
+    time_limit: Seconds = Field(
+        default=TIME_LIMIT, description="give up reading the file after so many seconds"
+    )
 
 
 Grid = Annotated[

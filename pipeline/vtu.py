@@ -10,6 +10,7 @@ encoded once (:func:`data_array`, :func:`cells`).
 from __future__ import annotations
 
 import hashlib
+import os
 import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -56,6 +57,9 @@ class Encoded(NamedTuple):
     pieces: tuple[bytes, ...]
 
 
+BEGINNING = 8
+"""Bytes of an array that are packed as a block of their own: more than the three that ISA-L begins with."""
+
 Packable = Array | Encoded | Future[Encoded]
 """An array, or what is stored of it, or will be."""
 
@@ -99,10 +103,6 @@ def data_array(name: str, values: Array, encoding: Encoding = SMALL_AND_FAST) ->
     return Encoded(attributes, (_sizes(1, stored.nbytes, 0, sum(map(len, packed))), *packed))
 
 
-BEGINNING = 8
-"""Bytes of an array that are packed as a block of their own."""
-
-
 def _sizes(*numbers: int) -> bytes:
     return np.array(numbers, dtype="<u8").tobytes()
 
@@ -114,8 +114,8 @@ def _zlib(stored: Array) -> tuple[bytes, ...]:
     from isal import isal_zlib
 
     # ISA-L files the third byte of what it begins with under the hash of an address (igzip_icf_body_h1_gr_bt.asm,
-    # write_first_byte), so that it misses a match in one process of thousands. Its routine for the ends of blocks
-    # does not: it gets the first bytes.
+    # write_first_byte), so that it misses a match in one process of thousands, and a resumed run would have other
+    # bytes. Its routine for the ends of blocks does not: it gets the first bytes.
     packer = isal_zlib.compressobj(1)
     content = stored.reshape(-1).view(np.uint8)
     first = packer.compress(content[:BEGINNING]) + packer.flush(isal_zlib.Z_SYNC_FLUSH)
@@ -144,7 +144,7 @@ def vtu_pieces(
     points : (p, 2) float64, metres
     grid : Cells
     point_data, cell_data : mapping of str to (p,) or (p, k), (m,) or (m, k) arrays
-        Or to what :func:`data_array` made of them or :func:`packing` makes of them, with the same compression.
+        Or to what :func:`data_array` made of them or :func:`packed_soon` makes of them, with the same compression.
     time : float, s, optional
         Stored as the field data ``TimeValue``, which ParaView takes as the file's own time.
     encoding : Encoding
@@ -161,7 +161,7 @@ def vtu_pieces(
     begun: dict[str, list[Encoded | Future[Encoded]]] = {
         "PointData": _begun(point_data, encoding),
         "CellData": _begun(cell_data, encoding),
-        "Points": [packing("Points", vectors(points), points_as or encoding)],
+        "Points": [packed_soon("Points", vectors(points), points_as or encoding)],
     }
     sections = {
         name: [packed.result() if isinstance(packed, Future) else packed for packed in arrays]
@@ -186,15 +186,15 @@ def vtu_pieces(
     return [start.encode(), *contents, b"\n</AppendedData>\n</VTKFile>\n"]
 
 
-def packing(name: str, values: Array, encoding: Encoding = SMALL_AND_FAST) -> Future[Encoded]:
-    """What :func:`data_array` returns, in another thread; the values must stay until it is there."""
+def packed_soon(name: str, values: Array, encoding: Encoding = SMALL_AND_FAST) -> Future[Encoded]:
+    """What :func:`data_array` returns or raises, in another thread; the values must stay until it is there."""
     return _threads().submit(data_array, name, values, encoding)
 
 
 def _begun(arrays: Mapping[str, Packable], encoding: Encoding) -> list[Encoded | Future[Encoded]]:
     """The arrays of points or cells, on their way to what is stored."""
     return [
-        values if isinstance(values, Encoded | Future) else packing(name, values, encoding)
+        values if isinstance(values, Encoded | Future) else packed_soon(name, values, encoding)
         for name, values in arrays.items()
     ]
 
@@ -203,6 +203,10 @@ def _begun(arrays: Mapping[str, Packable], encoding: Encoding) -> list[Encoded |
 def _threads() -> ThreadPoolExecutor:
     """Two threads for what does not need Python's lock: to pack arrays and to hash files."""
     return ThreadPoolExecutor(2, thread_name_prefix="packing")
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)  # a fork has no threads
 
 
 class Series:

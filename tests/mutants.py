@@ -16,6 +16,7 @@ import time
 import traceback
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -160,14 +161,17 @@ class Forked:
     def __init__(self, arguments: list[str], folder: str) -> None:
         self._said = Path(folder, "said")
         self.returncode: int | None = None
+        self.stderr = None
         self.pid = os.fork()
         if self.pid == 0:
             self._read(arguments, folder)
+        with suppress(PermissionError, ProcessLookupError):  # the child does it, too: whoever comes first
+            os.setpgid(self.pid, self.pid)
 
     def _read(self, arguments: list[str], folder: str) -> NoReturn:
         code = 1
         try:
-            os.setsid()
+            os.setpgid(0, 0)
             os.chdir(folder)
             os.dup2(os.open(self._said, os.O_WRONLY | os.O_CREAT), 2)
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
@@ -184,13 +188,17 @@ class Forked:
             self.returncode = os.waitstatus_to_exitcode(ended[1])
         return self.returncode
 
-    def communicate(self, timeout: float = CAP) -> tuple[bytes, bytes]:
-        """Wait for it; what it complained of."""
+    def wait(self, timeout: float = CAP) -> None:
+        """Wait for its end."""
         latest = time.monotonic() + timeout
         while self.poll() is None:
             if time.monotonic() > latest:
                 raise subprocess.TimeoutExpired("a reader", timeout)
             time.sleep(0.002)
+
+    def communicate(self, timeout: float) -> tuple[bytes, bytes]:
+        """Wait for it; what it complained of."""
+        self.wait(timeout)
         return b"", self._said.read_bytes() if self._said.exists() else b""
 
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +13,7 @@ import ezdxf
 import pytest
 
 from phantomnode.geometry import child
+from phantomnode.geometry.readers import geometry_reading
 from phantomnode.pipeline import drawings
 from phantomnode.pipeline.case import Case, case_from_table
 from phantomnode.pipeline.drawings import Drawings
@@ -17,7 +22,7 @@ from phantomnode.pipeline.prepare import prepare
 
 
 class Watched(child.Child):
-    """A child that is counted."""
+    """A child that is counted, and seen to end."""
 
     begun = 0
     reading = 0
@@ -31,6 +36,7 @@ class Watched(child.Child):
 
     def end(self) -> None:
         super().end()
+        assert self._process.poll() is not None and not Path(self._folder.name).exists()
         Watched.reading -= 1
 
 
@@ -59,8 +65,9 @@ def case_of(folder: Path, *files: str) -> Case:
 
 
 def test_all_files_are_read_at_the_same_time_and_one_that_two_bodies_share_once(
-    tmp_path: Path, watched: type[Watched]
+    tmp_path: Path, watched: type[Watched], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(drawings, "AT_ONCE", 4)
     for k in range(3):
         circle(tmp_path / f"{k}.dxf", 10.0 + k)
     prepared = prepare(case_of(tmp_path, "0.dxf", "1.dxf", "0.dxf", "2.dxf"))
@@ -104,3 +111,36 @@ def test_a_file_that_is_gone_when_it_is_asked_for_is_told_then(
     with pytest.raises(CaseError, match=r"body\.b1\.geometry: .*1\.dxf: no such file"):
         prepare(case)
     assert watched.reading == 0
+
+
+def test_a_file_that_is_asked_for_late_is_not_taken_for_slow(tmp_path: Path) -> None:
+    circle(tmp_path / "0.dxf")
+    with geometry_reading(tmp_path / "0.dxf", time_limit=2.0) as reading:
+        time.sleep(2.5)  # as long as the bodies before it take to cut
+        assert reading.result().regions
+
+
+def test_what_keeps_a_process_from_starting_is_told_with_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def started(*_: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    circle(tmp_path / "0.dxf")
+    monkeypatch.setattr(child, "_started", started)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    with pytest.raises(
+        CaseError, match=r"body\.b0\.geometry: .*0\.dxf: no process can be started to read it"
+    ):
+        prepare(case_of(tmp_path, "0.dxf"))
+    assert not [*(tmp_path / "temporary").iterdir()]
+
+
+def test_a_time_limit_without_a_file_is_refused(tmp_path: Path) -> None:
+    circle(tmp_path / "0.dxf")
+    with pytest.raises(CaseError, match="time_limit belongs to a file"):
+        changed = {"circle": {"centre": [0.0, 0.0], "radius": 1.0}, "time_limit": 3.0}
+        table = case_of(tmp_path, "0.dxf").model_dump(mode="json", exclude_unset=True)
+        table["body"]["b0"]["geometry"] = changed
+        case_from_table(table, tmp_path)

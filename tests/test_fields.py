@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import mmap
+import os
 import threading
 import xml.etree.ElementTree as ET
 
@@ -244,6 +245,7 @@ def test_arrays_are_read_back(tmp_path, precision, compression):
             np.testing.assert_array_equal(mesh.point_data["number"], np.arange(count))
 
 
+@pytest.mark.skipif(os.name != "posix", reason="identifiers of threads are addresses on POSIX only")
 def test_equal_arrays_are_packed_into_equal_bytes_wherever_the_stack_lies():
     """ISA-L alone, without what data_array does about it, gives others on one stack in some hundred."""
     ones, packed, stacks, random = np.ones(32, np.float32), set(), set(), np.random.default_rng(1)
@@ -265,7 +267,7 @@ def test_equal_arrays_are_packed_into_equal_bytes_wherever_the_stack_lies():
                 gap.close()
     finally:
         threading.stack_size(before)
-    assert len(packed) == 1
+    assert len(packed) == 1 and len(stacks) > 100
 
 
 @pytest.mark.parametrize("compression", ["zlib", "lz4", "none"])

@@ -198,6 +198,10 @@ def test_reading_is_given_up_after_the_time_that_was_allowed(
     file = drawing(tmp_path / "d.dxf", two_parts)
     assert cli_files.inspect(file, time_limit=0.01) == console.INPUT_AT_FAULT
     assert "took more than 0.01 s" in capsys.readouterr().err
+    for wrong in ("inf", "0", "nan"):
+        with pytest.raises(SystemExit) as left:
+            cli.app(["inspect", str(file), "--time-limit", wrong])
+        assert left.value.code == console.INPUT_AT_FAULT and "Traceback" not in capsys.readouterr().err
     assert cli_files.new("n", from_=file, time_limit=60.0) == console.DONE
     case = load_case("n", ())
     assert {body.geometry.time_limit for body in case.body.values()} == {60.0}
