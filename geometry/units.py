@@ -24,6 +24,13 @@ METRES = {
 }
 """Metres in one of each unit."""
 
+SPELLED = {
+    "metre": "m", "meter": "m", "millimetre": "mm", "millimeter": "mm", "centimetre": "cm", "centimeter": "cm",
+    "micrometre": "um", "micrometer": "um", "micron": "um", "kilometre": "km", "inch": "in", "inches": "in",
+    "foot": "ft", "feet": "ft", "yard": "yd", "mile": "mi", "thou": "mil",
+}  # fmt: skip
+"""What is meant by longer words."""
+
 INSUNITS = {
     1: "in", 2: "ft", 3: "mi", 4: "mm", 5: "cm", 6: "m", 7: "km", 8: "uin",
     9: "mil", 10: "yd", 12: "nm", 13: "um", 14: "dm",
@@ -58,8 +65,8 @@ def metres(unit: str) -> float:
     """
     if unit in METRES:
         return METRES[unit]
-    near = difflib.get_close_matches(unit.lower(), METRES, n=1, cutoff=0.5)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
+    near = difflib.get_close_matches(unit.lower(), [*METRES, *SPELLED], n=1, cutoff=0.5)
+    hint = f"; did you mean '{SPELLED.get(near[0], near[0])}'?" if near else ""
     raise GeometryError(f"unknown unit of length '{unit}'{hint} (one of {', '.join(METRES)})")
 
 

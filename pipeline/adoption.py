@@ -54,6 +54,13 @@ slave = "{name}.outer"                      # any of the parts above
 master = "floor"
 """
 
+BETWEEN = """
+# Bodies that share no contact pass through each other. Where two of them meet:
+# [contact.{one}_on_{other}]
+# slave = "{one}.outer"
+# master = "{other}.outer"
+"""
+
 OUTPUT = """
 [output]
 fields = { count = 40 }                     # pictures for ParaView: open fields.pvd
@@ -160,6 +167,8 @@ def _case(folder: Path, file: str, geometry: Geometry, wanted: Mapping[str, Any]
     margin = float(high[0] - low[0])
     parts.append(FLOOR.format(left=low[0] - margin, right=high[0] + margin, height=low[1] - gap))
     parts += [CONTACT.format(name=name) for name in names]
+    if several:
+        parts.append(BETWEEN.format(one=names[0], other=names[1]))
     return "".join((*parts, OUTPUT))
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.geometry.bilinear import shape, to_local
-from phantomnode.pipeline.outlines import open_edges
 from phantomnode.pipeline.prepare import Body, Prepared
 
 Floats = NDArray[np.float64]
@@ -104,10 +103,6 @@ class ClippedBodies:
         """
         each = max(len(points) // max(len(self.triangles), 1), 1)
         return np.asarray(points.reshape(len(self.triangles), each, *points.shape[1:]).mean(axis=1))
-
-    def outline(self) -> Ints:
-        """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces."""
-        return open_edges([self.quads, self.triangles])
 
 
 def _triangle_corners(bodies: tuple[Body, ...]) -> tuple[Ints, Floats, Floats]:

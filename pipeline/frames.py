@@ -73,7 +73,7 @@ class FieldsFrame:
     @cached_property
     def outline(self) -> Ints:
         """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces."""
-        return open_edges([self.quads, self.triangles])
+        return open_edges([self.quads, self.triangles], self.reference)
 
     def cell(self, name: str) -> Floats:
         """(m,) or (m, k) An array of the cells, float64."""

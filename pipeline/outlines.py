@@ -15,24 +15,64 @@ Ints = NDArray[np.int64]
 TOUCH = 1e-6
 """Ends nearer to each other than this part of the size of all segments are one place: files hold float32."""
 
+ON_LINE = 1e-4
+"""A point nearer to an edge than this part of its length lies on it: files hold float32."""
+
 CANDIDATES = 4
 """Segments that are looked at where one ends: both faces of a crack, and those of a second one beside it."""
 
 
-def open_edges(rings: Sequence[Ints]) -> Ints:
+def open_edges(rings: Sequence[Ints], points: Floats) -> Ints:
     """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces.
+
+    Where the outline leaves a grid line, the edge of a whole cell has a shorter one of a cut cell beside it; only
+    what reaches beyond that is open.
 
     Parameters
     ----------
     rings : sequence of (m, k) int64
         Points of cells of k corners, in their order around the cell.
+    points : (p, 2) float64, m
+        Where they are in the undeformed bodies.
     """
     sides = [np.stack([ring, np.roll(ring, -1, axis=1)], axis=-1).reshape(-1, 2) for ring in rings]
-    edges = np.concatenate(sides).astype(np.int64)
+    edges = _single(np.concatenate(sides).astype(np.int64))
+    return _single(_beyond_shorter(edges, points))
+
+
+def _single(edges: Ints) -> Ints:
+    """The edges that are there once, in either direction."""
     low, high = edges.min(axis=1), edges.max(axis=1)
     key = low * (np.max(high, initial=0) + 1) + high  # one number sorts in a fifth of the time of two
     _, first, count = np.unique(key, return_index=True, return_counts=True)
     return np.asarray(edges[first[count == 1]])
+
+
+def _beyond_shorter(edges: Ints, points: Floats) -> Ints:
+    """Directed edges without the parts that lie beside shorter ones, run the other way, from the same point."""
+    edges, gone = edges.copy(), np.zeros(len(edges), dtype=bool)
+    for end in (0, 1):
+        # The neighbour of an edge a-b is c-a at its begin, or b-c at its end; what is left is c-b, or a-c.
+        one, other = _pairs(edges[:, end], edges[:, 1 - end])
+        here, far = points[edges[one, end]], points[edges[one, 1 - end]]
+        along, short = far - here, points[edges[other, end]] - here
+        length2 = np.sum(along**2, axis=1)
+        part = np.sum(short * along, axis=1) / np.where(length2 > 0.0, length2, 1.0)
+        aside = np.abs(along[:, 0] * short[:, 1] - along[:, 1] * short[:, 0])
+        lies = (part > ON_LINE) & (part < 1.0 - ON_LINE) & (aside < ON_LINE * length2)
+        edges[one[lies], end] = edges[other[lies], end]
+        gone[other[lies]] = True
+    return edges[~gone]
+
+
+def _pairs(one: Ints, other: Ints) -> tuple[Ints, Ints]:
+    """(k,) Places in the first and in the second array that hold the same number."""
+    order = np.argsort(other, kind="stable")
+    first = np.searchsorted(other[order], one, side="left")
+    count = np.searchsorted(other[order], one, side="right") - first
+    begin = np.repeat(np.arange(len(one)), count)
+    within = np.arange(len(begin)) - np.repeat(np.cumsum(count) - count, count)
+    return begin, order[first[begin] + within]
 
 
 class Chain(NamedTuple):

@@ -18,6 +18,7 @@ from phantomnode.pipeline.boundaries import Boundary, Conditions, conditions
 from phantomnode.pipeline.contacts import Pair, contact_passes, offsets, own_reach, reported_pairs
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.elements import ElementLists, element_lists
+from phantomnode.pipeline.meeting import unpaired
 from phantomnode.pipeline.motion import PrescribedMotion
 from phantomnode.pipeline.pairing import ContactPass, joined_contact
 from phantomnode.pipeline.rigid import Rigid, rigid_obstacles
@@ -160,7 +161,7 @@ def prepare(case: Case) -> Prepared:
     for body in bodies:
         velocity[body.nodes] = case.body[body.name].initial_velocity
     notes = (note for body in cut.values() for note in body.notes)
-    warnings = (*notes, *thin, *heavy_bodies(bodies, model))
+    warnings = (*notes, *thin, *unpaired(case, cut), *heavy_bodies(bodies, model))
     pairs = reported_pairs(case, cut, passes)
     boundaries, motion = tuple(held.boundaries), held.motion
     return Prepared(

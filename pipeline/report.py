@@ -43,15 +43,18 @@ def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
     CaseError
         Where a folder holds no results.
     """
+    for folder in folders:
+        if not folder.is_dir():
+            raise CaseError(f"{folder}: there is no such folder; name the folder of a run, or of a batch")
     batches = [folder for folder in folders if _is_batch(folder)]
     if batches and len(folders) > 1:
         raise CaseError(f"{batches[0]}: holds a batch; a batch has a report of its own: name it alone")
+    runs = {} if batches else runs_of(folders)
     out.mkdir(parents=True, exist_ok=True)
     if batches:
         figures = draw_figures(folders[0], out)
         text = cases_page(folders[0].resolve().name, compared_cases(folders[0]), folders[0], figures)
         return [_written(out / PAGE, text), *figures]
-    runs = runs_of(folders)
     profiles = draw_profiles(runs, out)
     if len(folders) > 1:
         text = cases_page("Runs beside each other", compared_runs(runs), out, profiles)

@@ -17,6 +17,7 @@ from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Prepared
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.tally import Tally, small_elements
+from phantomnode.pipeline.trust import beyond_checks
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -75,8 +76,16 @@ class Summary:
 
     @property
     def trusted(self) -> bool:
-        """Whether the run came to its end and kept every limit."""
-        return self.status == "done" and all(check.passed for check in self.checks)
+        """Whether the run came to its end, kept every limit, and nothing else is doubtful."""
+        return self.status == "done" and all(check.passed for check in self.checks) and not self.doubts
+
+    @property
+    def doubts(self) -> list[str]:
+        """What else than the checks wants a look, of a run that came to its end."""
+        if self.status != "done":
+            return []
+        found = beyond_checks(self.figures)
+        return [f"{finding.subject}: {finding.text}" for finding in found if not finding.passed]
 
     def write(self) -> None:
         """Write summary.json."""
@@ -258,6 +267,7 @@ def verdict(summary: Summary) -> RenderableType:
         table.add_row(mark, check.name, f"{check.value:.3g}", f"({sign} {check.limit:g})")
     lines: list[RenderableType] = [table] if summary.checks else []
     lines += [Text(f"  {check.name}: {check.advice}") for check in summary.checks if not check.passed]
+    lines += [Text(doubt, "yellow") for doubt in summary.doubts]
     if figures["reason"]:
         lines += [Text(f"{summary.status}: {figures['reason']}", "bold red")]
         # The command that goes on with a run is printed below, in one line, to be copied.
@@ -330,7 +340,7 @@ def verdict_lines(summary: Summary) -> list[str]:
     for item in summary.checks:
         word = "PASS" if item.passed else f"WARN ({item.advice})"
         lines.append(f"{item.name}: {item.value:.3g} (limit {item.limit:g}) {word}")
-    return [*lines, *highlights(figures)]
+    return [*lines, *summary.doubts, *highlights(figures)]
 
 
 def _where(summary: Summary) -> list[str]:

@@ -29,12 +29,14 @@ def findings(figures: dict[str, Any]) -> list[Finding]:
     figures : dict
         The content of summary.json.
     """
-    found = [_end(figures)]
-    found += [_check(check) for check in figures.get("checks", ())]
-    if "stable_step_min" in figures:
-        found.append(_step(figures))
-    found += [*_mesh(figures), *_added_mass(figures)]
-    return found
+    checks = [_check(check) for check in figures.get("checks", ())]
+    return [_end(figures), *checks, *beyond_checks(figures)]
+
+
+def beyond_checks(figures: dict[str, Any]) -> list[Finding]:
+    """What is looked at beside the run's own checks: its step, the mesh, warnings, added mass."""
+    step = [_step(figures)] if "stable_step_min" in figures else []
+    return [*step, *_mesh(figures), *_added_mass(figures)]
 
 
 def trusted(found: list[Finding]) -> bool:

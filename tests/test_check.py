@@ -124,3 +124,25 @@ def test_the_picture_names_what_it_shows(apart: Prepared, monkeypatch, fine: int
     triangles = sum(len(body.mesh.triangles) for body in apart.bodies)
     uncut = sum(int((~body.mesh.cut).sum()) for body in apart.bodies)
     assert drawn == (triangles + uncut if fine else 0)
+
+
+@pytest.mark.parametrize(
+    ("speed", "paired", "warned"), [(-10.0, False, True), (-10.0, True, False), (0.0, False, False)]
+)
+def test_bodies_that_may_meet_without_a_contact_are_told(speed: float, paired: bool, warned: bool) -> None:
+    """One above the other, which falls; each box as wide as the other."""
+
+    def body(low: float, velocity: float) -> dict[str, object]:
+        square = {"rectangle": {"low": [0.0, low], "high": [1.0, low + 1.0]}}
+        grid = {"kind": "cartesian", "cell": 0.25}
+        return {"geometry": square, "grid": grid, "material": "soft", "initial_velocity": [0.0, velocity]}
+
+    table = {
+        "time": {"end": 0.2},
+        "material": {"soft": {"E": 1e6, "nu": 0.3, "rho": 1e3}},
+        "body": {"upper": body(1.5, speed), "lower": body(0.0, 0.0)},
+    }
+    if paired:
+        table["contact"] = {"landing": {"slave": "upper.bottom", "master": "lower.top"}}
+    told = any("upper and lower may meet" in warning for warning in prepare(case_from_table(table)).warnings)
+    assert told == warned

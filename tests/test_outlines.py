@@ -13,8 +13,24 @@ def directed(points):
 
 
 def test_the_rim_of_a_quadrilateral_and_a_triangle_leaves_out_what_they_share():
-    rim = open_edges([np.array([[0, 1, 2, 3]]), np.array([[1, 4, 2]])])
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [2.0, 0.0]])
+    rim = open_edges([np.array([[0, 1, 2, 3]]), np.array([[1, 4, 2]])], points)
     assert {tuple(sorted(edge)) for edge in rim.tolist()} == {(0, 1), (2, 3), (0, 3), (1, 4), (2, 4)}
+
+
+def test_of_an_edge_beside_a_shorter_one_what_is_left_is_open():
+    """An outline that leaves a grid line at a re-entrant corner: a triangle beside a part of a whole cell's edge."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [2.0, 0.0], [1.0, 0.5], [2.0, 1.0]])
+    cell = np.array([[0, 1, 2, 3]])
+    for triangles, left in (
+        ([[1, 4, 5]], {(5, 2)}),
+        ([[2, 5, 6]], {(1, 5)}),
+        ([[1, 4, 5], [2, 5, 6]], set()),
+    ):
+        rim = {tuple(edge) for edge in open_edges([cell, np.array(triangles)], points).tolist()}
+        assert left == rim & {(1, 2), (1, 5), (5, 1), (2, 5), (5, 2)} and len(rim - left) == 3 + 2 * len(
+            triangles
+        )
 
 
 def test_shuffled_segments_of_a_circle_make_one_closed_chain():

@@ -1,0 +1,54 @@
+"""Bodies that may meet on their way, and have no contact to stop them."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.pipeline.bodies import CutBody
+from phantomnode.pipeline.schema import Case
+
+Floats = NDArray[np.float64]
+
+
+TOLD = 4
+"""Pairs that a warning names."""
+
+
+def unpaired(case: Case, cut: dict[str, CutBody]) -> list[str]:
+    """A warning of bodies whose boxes cross as they fly on at their first velocities, and that share no contact."""
+    joined = {
+        frozenset((_body(case, contact.slave), _body(case, contact.master)))
+        for contact in case.contact.values()
+    }
+    ways = {name: _way(case, name, body) for name, body in cut.items()}
+    pairs = [
+        f"{one} and {other}"
+        for one, other in combinations(ways, 2)
+        if frozenset((one, other)) not in joined and _cross(ways[one], ways[other])
+    ]
+    if not pairs:
+        return []
+    more = f", and {len(pairs) - TOLD} more pairs" if len(pairs) > TOLD else ""
+    named = f"{', '.join(pairs[:TOLD])}{more}"
+    return [f"bodies {named} may meet and share no contact: they would pass through each other"]
+
+
+def _body(case: Case, surface: str) -> str:
+    """The body, or the obstacle, that a surface belongs to."""
+    owner = surface.partition(".")[0]
+    return case.interface[owner].body if owner in case.interface else owner
+
+
+def _way(case: Case, name: str, body: CutBody) -> Floats:
+    """(2, 2) The box that holds a body from the start to the end of its free flight, m."""
+    boxes = np.array([region.box for region in body.regions])
+    start = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
+    end = start + np.array(case.body[name].initial_velocity) * case.time.end
+    return np.array([np.minimum(start[0], end[0]), np.maximum(start[1], end[1])])
+
+
+def _cross(one: Floats, other: Floats) -> bool:
+    return bool(np.all(one[0] < other[1]) and np.all(other[0] < one[1]))
