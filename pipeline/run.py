@@ -95,6 +95,7 @@ def run(
     WriteError
         Where a result cannot be written: an OSError that says what to do.
     """
+    from phantomnode.kernels import kept
     from phantomnode.pipeline.prepare import prepare
 
     began, folder, notes = time.perf_counter(), Path(out), list[str]()
@@ -105,6 +106,8 @@ def run(
     if resume and (finished := finished_run(case, folder, notes)) is not None:
         _tell(console, [f"finished already: {folder}"])
         return finished
+    if not kept("phantomnode.solver"):
+        _tell(console, ["compiling the kernels, which are kept: half a minute or so, this once"])
     prepared = prepare(case)
     LOG.info("prepared in %.2f s", time.perf_counter() - began)
     if LOG.isEnabledFor(logging.INFO):

@@ -185,7 +185,7 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
         yield f"{name} {touched}{force}."
     for name, peak_force in figures.get("peak_reaction", {}).items():
         factor, unit = readable(peak_force, "N/m")
-        yield f"Boundary {name}: largest force {peak_force * factor:.4g} {unit}."
+        yield f"Reaction at {name}: at most {peak_force * factor:.4g} {unit} in the rows of the history."
     for name, velocity in figures.get("velocity", {}).items():
         start, end = _velocities(velocity)
         yield f"{name}: velocity of the centre of mass {start} m/s at the start, {end} m/s at the end."

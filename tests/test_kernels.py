@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
@@ -177,22 +178,34 @@ def test_the_folder_is_the_users_own_choice_first(tmp_path: Path, monkeypatch: p
         assert kernels.cache_folder() == tmp_path / ".cache" / "phantomnode"
 
 
+def test_it_is_known_whether_kernels_were_compiled_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernels.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(kernels.config, "DISABLE_JIT", 0)
+    assert not kernels.kept("phantomnode.solver")
+    sources = Path(importlib.import_module("phantomnode.solver").__file__ or "").parent
+    (tmp_path / "phantomnode" / kernels.package_key(sources)).mkdir(parents=True)
+    assert kernels.kept("phantomnode.solver")
+
+
 @pytest.mark.slow
 def test_a_run_heals_its_cache(tmp_path: Path) -> None:
     """The starter case with every kernel, cut short, from a cache of which every file is broken."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "NUMBA_DISABLE_JIT": "0"}
 
-    def phantomnode(*arguments: str) -> None:
+    def phantomnode(*arguments: str) -> str:
         command = [sys.executable, "-m", "phantomnode", *arguments]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
 
     phantomnode("new", "starter")
     runs = [("run", "starter", "--set", "time.end=1e-4", "--out", name) for name in ("first", "second")]
-    phantomnode(*runs[0])
+    assert "compiling the kernels" in phantomnode(*runs[0])
     for number, file in enumerate(sorted((tmp_path / "cache").rglob("*.kernel"))):
         content = file.read_bytes()
         file.write_bytes((content[:100], b"", flip(content))[number % 3])
-    phantomnode(*runs[1])
+    assert "compiling the kernels" not in phantomnode(*runs[1])
     first, second = (tmp_path / name / "history.csv" for name in ("first", "second"))
     assert first.read_bytes() == second.read_bytes()

@@ -26,6 +26,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar, overload
 
@@ -133,6 +134,14 @@ def cache_folder() -> Path:
         given = Path(os.environ.get("XDG_CACHE_HOME") or "")
         parent = given if given.is_absolute() else home / ".cache"
     return parent / "phantomnode"
+
+
+def kept(package: str) -> bool:
+    """Whether kernels of a package, as it is now, were compiled before; they may be some of them only."""
+    spec = find_spec(package)
+    if config.DISABLE_JIT or spec is None or spec.origin is None:
+        return True
+    return (cache_folder() / package_key(Path(spec.origin).parent)).is_dir()
 
 
 @lru_cache
