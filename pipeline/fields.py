@@ -175,6 +175,7 @@ class BodiesFile:
             "hencky_strain": np.zeros((number, 6), kind),
             "J": np.zeros(number, kind),
         }
+        self._points = np.zeros((len(self._start), 3), np.dtype(self._points_as.precision))
         self._motion = {
             "displacement": np.zeros((len(self._start), 3), kind),
             "velocity": np.zeros((len(self._start), 3), kind),
@@ -183,12 +184,13 @@ class BodiesFile:
     def vtu(self, frame: Frame) -> list[bytes]:
         """The content of one file, in pieces."""
         u = self._clipped.interpolate(frame.u)
+        np.add(self._start, u, out=self._points[:, :2], casting="same_kind")
         self._motion["displacement"][:, :2] = u
         self._motion["velocity"][:, :2] = self._clipped.interpolate(frame.v)
         motion = {name: packed_soon(name, values, self._encoding) for name, values in self._motion.items()}
         self._set_state(frame.u)  # while the motion is packed
         return vtu_pieces(
-            self._start + u, self._cells, motion, {**self._state, **self._labels}, frame.time, self._encoding,
+            self._points, self._cells, motion, {**self._state, **self._labels}, frame.time, self._encoding,
             self._points_as,
         )  # fmt: skip
 
@@ -302,5 +304,5 @@ class ContactFile:
             "normal": vectors(normal),
             "pair": self._pair,
         }
-        points, encoding = ends.reshape(-1, 2), self._encoding
+        points, encoding = vectors(ends.reshape(-1, 2)), self._encoding
         return vtu_pieces(points, self._cells, {}, cell_data, frame.time, encoding, self._points_as)

@@ -30,7 +30,7 @@ def preview_vtu(prepared: Prepared) -> bytes:
         "fraction": clipped.fraction,
         "cut": (np.arange(len(clipped.body)) >= len(clipped.quads)).astype(np.int32),
     }
-    return b"".join(vtu_pieces(clipped.interpolate(prepared.model.x), grid, {}, cell_data))
+    return b"".join(vtu_pieces(vectors(clipped.interpolate(prepared.model.x)), grid, {}, cell_data))
 
 
 def frame_of_state(prepared: Prepared, frame: Frame) -> FieldsFrame:

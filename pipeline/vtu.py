@@ -141,7 +141,7 @@ def vtu_pieces(
 
     Parameters
     ----------
-    points : (p, 2) float64, metres
+    points : (p, 3) floats, metres
     grid : Cells
     point_data, cell_data : mapping of str to (p,) or (p, k), (m,) or (m, k) arrays
         Or to what :func:`data_array` made of them or :func:`packed_soon` makes of them, with the same compression.
@@ -161,7 +161,7 @@ def vtu_pieces(
     begun: dict[str, list[Encoded | Future[Encoded]]] = {
         "PointData": _begun(point_data, encoding),
         "CellData": _begun(cell_data, encoding),
-        "Points": [packed_soon("Points", vectors(points), points_as or encoding)],
+        "Points": [packed_soon("Points", points, points_as or encoding)],
     }
     sections = {
         name: [packed.result() if isinstance(packed, Future) else packed for packed in arrays]

@@ -16,8 +16,9 @@ from phantomnode.pipeline.clip import ClippedBodies
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import Fields, contact_lines, encoding_of_points
 from phantomnode.pipeline.observer import Ending
+from phantomnode.pipeline.outlines import open_edges
 from phantomnode.pipeline.schema import FieldFrames
-from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, Encoding, Series, cells, vtu_pieces
+from phantomnode.pipeline.vtu import VTK_QUAD, VTK_TRIANGLE, Encoding, Series, cells, vectors, vtu_pieces
 from phantomnode.pipeline.vtu_reader import read_vtu
 
 FLOAT32 = 2e-7
@@ -63,7 +64,7 @@ def test_neighbours_share_points_and_the_outline_is_closed(handmade):
     clipped = ClippedBodies.of(handmade)
     # 8 real nodes, 2 points on the cut, 4 nodes of the floor.
     assert len(clipped.weights) == 14
-    outline = clipped.outline()
+    outline = open_edges([clipped.quads, clipped.triangles], clipped.interpolate(handmade.model.x))
     # Block: 9 edges (two each of bottom and left, right .5 + .25, cut, top .25 + .5); floor: 4.
     assert len(outline) == 8 + 1 + 4
     assert np.all(np.bincount(outline.ravel())[np.unique(outline)] == 2)
@@ -196,7 +197,7 @@ def test_series_is_whole_after_every_frame(tmp_path):
     grid = cells((VTK_QUAD, np.array([[0, 1, 2, 3]])), (VTK_TRIANGLE, np.array([[0, 1, 2]])))
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     for k in range(3):
-        series.add(0.1 * k, vtu_pieces(square, grid, {}, {"value": np.arange(2.0)}, 0.1 * k))
+        series.add(0.1 * k, vtu_pieces(vectors(square), grid, {}, {"value": np.arange(2.0)}, 0.1 * k))
         entries = ET.parse(io.BytesIO((tmp_path / "a & b.pvd").read_bytes())).getroot().iter("DataSet")
         assert len([meshio.read(tmp_path / e.get("file")) for e in entries]) == k + 1
 
@@ -224,7 +225,7 @@ def test_arrays_are_read_back(tmp_path, precision, compression):
         value[:, 2], value[0, 0] = 0.0, np.nan
         grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)), encoding=encoding)
         data = {"value": value, "number": np.arange(count), "zero": np.zeros(count)}
-        content = b"".join(vtu_pieces(points, grid, data, {"side": np.array([7])}, 0.5, encoding))
+        content = b"".join(vtu_pieces(vectors(points), grid, data, {"side": np.array([7])}, 0.5, encoding))
         (tmp_path / "a.vtu").write_bytes(content)
         read = pytest.importorskip("pyvista").read(tmp_path / "a.vtu")
         np.testing.assert_array_equal(read.points[:, :2], points.astype(precision))
@@ -274,7 +275,7 @@ def test_equal_arrays_are_packed_into_equal_bytes_wherever_the_stack_lies():
 def test_damaged_files_are_named(tmp_path, compression):
     encoding, file = Encoding(compression=compression), tmp_path / "a.vtu"
     grid = cells((VTK_TRIANGLE, np.arange(3).reshape(1, 3)), encoding=encoding)
-    content = b"".join(vtu_pieces(np.eye(3, 2), grid, {}, {}, encoding=encoding))
+    content = b"".join(vtu_pieces(np.eye(3), grid, {}, {}, encoding=encoding))
     for wrong in (content[:200], content[: content.index(b"_") + 30], b"", content.replace(b"raw", b"hex")):
         file.write_bytes(wrong)
         with pytest.raises(CaseError, match=r"a\.vtu: cannot be read"):
