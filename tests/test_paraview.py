@@ -57,7 +57,9 @@ def short_run(name: str, out: Path) -> Results:
 
 def pvbatch(*arguments: str | Path, timeout: float = 300.0) -> str:
     """Run pvbatch, with a virtual screen where there is none."""
-    screen = [] if os.environ.get("DISPLAY") else ["xvfb-run", "-a"]
+    # Two that look for a free number at the same time find the same one: each process begins at its own.
+    number = 100 + 10 * (os.getpid() % 500)
+    screen = [] if os.environ.get("DISPLAY") else ["xvfb-run", "-a", f"--server-num={number}"]
     command = [*screen, "pvbatch", *map(str, arguments)]
     # ParaView has a Python of its own: ours must not shine through.
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
