@@ -57,10 +57,9 @@ def short_run(name: str, out: Path) -> Results:
 
 def pvbatch(*arguments: str | Path, timeout: float = 300.0) -> str:
     """Run pvbatch, with a virtual screen where there is none."""
-    # Two that look for a free number at the same time find the same one: each process begins at its own.
-    number = 100 + 10 * (os.getpid() % 500)
-    screen = [] if os.environ.get("DISPLAY") else ["xvfb-run", "-a", f"--server-num={number}"]
-    command = [*screen, "pvbatch", *map(str, arguments)]
+    # ParaView opens the screen several times; one that starts anew when nobody looks is not there for a moment.
+    server = ["xvfb-run", "-a", "--server-args=-screen 0 1600x1200x24 -noreset"]
+    command = [*([] if os.environ.get("DISPLAY") else server), "pvbatch", *map(str, arguments)]
     # ParaView has a Python of its own: ours must not shine through.
     clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
     done = subprocess.run(command, capture_output=True, text=True, timeout=timeout, env=clean)
