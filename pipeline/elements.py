@@ -15,9 +15,10 @@ from phantomnode.pipeline.boundaries import constant_gravity
 from phantomnode.pipeline.schema import Case, Hourglass, Material
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.damping import bulk_points, hourglass_viscosity
+from phantomnode.solver.kinds import shared_kinds
 from phantomnode.solver.mass_scaling import lumped_mass
 from phantomnode.solver.model import NO_BULK_VISCOSITY, NO_POINTS, CutElements, Damping, Elements
-from phantomnode.solver.q4 import one_point_elements
+from phantomnode.solver.q4 import as_points, one_point_elements
 
 if TYPE_CHECKING:
     from phantomnode.pipeline.prepare import Body
@@ -72,12 +73,12 @@ def element_lists(case: Case, bodies: Sequence[Body]) -> ElementLists:
     """The elements of all bodies behind each other; gravity pulls at their true mass."""
     material = {body.name: case.material[case.body[body.name].material] for body in bodies}
     points, kappa = case.integration.cut, hourglass_control(case)[0]
-    elements = joined_elements(
-        [uncut_elements(b.mesh, b.nodes.start, material[b.name], kappa) for b in bodies]
-    )
+    own = joined_elements([uncut_elements(b.mesh, b.nodes.start, material[b.name], kappa) for b in bodies])
     cut = joined_cut_elements([cut_elements(b.mesh, b.nodes.start, material[b.name], points) for b in bodies])
     meshes = [body.mesh for body in bodies]
     x = meshes[0].xy if len(meshes) == 1 else np.vstack([mesh.xy for mesh in meshes])
+    elements = shared_kinds(own, x)
+    del own
     mass = lumped_mass(len(x), elements, cut)
     cut = stiffened(case, meshes, cut)
     full = full_elements(elements, x) if case.integration.uncut == "full" else NO_POINTS
@@ -89,16 +90,15 @@ def uncut_elements(mesh: CutMesh, first_node: int, material: Material, kappa: fl
     """The uncut elements of one body, in the order of the mesh."""
     lame, shear = lame_constants(material)
     numbers = np.flatnonzero(~mesh.cut)
-    whole: Elements | None = None
-    for rows in chunks(len(numbers)):  # what is worked out on the way would take twice the room of the result
+    m = len(numbers)
+    whole = Elements(
+        np.empty((m, 4), np.uint32), np.arange(m, dtype=np.uint32), np.empty((10, m)), np.empty(m)
+    )
+    for rows in chunks(m):  # what is worked out on the way would take twice the room of the result
         nodes = mesh.elements[numbers[rows]]
         some = one_point_elements(nodes + first_node, mesh.xy[nodes], lame, shear, material.rho, kappa)
-        if whole is None:
-            whole = Elements._make(np.empty((len(numbers), *field.shape[1:]), field.dtype) for field in some)
-        for field, part in zip(whole, some, strict=True):
-            field[rows] = part
-    none = np.zeros((0, 4), dtype=np.int64)
-    return whole or one_point_elements(none, mesh.xy[none], lame, shear, material.rho, kappa)
+        whole.nodes[rows], whole.constants[:, rows], whole.mass[rows] = some.nodes, some.constants, some.mass
+    return whole
 
 
 def full_elements(elements: Elements, x: Floats) -> CutElements:
@@ -215,7 +215,7 @@ def damping_of(
     viscosity, bulk = hourglass_control(case)[1], case.damping.bulk_viscosity
     points = NO_BULK_VISCOSITY
     if bulk.linear > 0.0 or bulk.quadratic > 0.0:
-        uncut = full if len(full.weight) else _as_points(elements)
+        uncut = full if len(full.weight) else as_points(elements)
         cells = [np.sqrt(mesh.area / mesh.fraction) for mesh in meshes]
         length = np.concatenate(
             [side[~mesh.cut] for side, mesh in zip(cells, meshes, strict=True)]
@@ -229,18 +229,18 @@ def damping_of(
     )
 
 
-def _as_points(elements: Elements) -> CutElements:
-    """One-point elements as a list of integration points."""
-    first = np.arange(len(elements.volume) + 1)
-    e = elements
-    return CutElements(e.nodes, first, e.gradient, e.volume, e.lame, e.shear, e.mass)
-
-
 def joined_elements(parts: list[Elements]) -> Elements:
     """The lists of several bodies behind each other; that of a single one as it is."""
     if len(parts) == 1:
         return parts[0]
-    return Elements(*(np.ascontiguousarray(np.concatenate(column)) for column in zip(*parts, strict=True)))
+    nodes, kind, constants, mass = zip(*parts, strict=True)
+    first = np.cumsum([0, *(table.shape[1] for table in constants[:-1])], dtype=np.uint32)
+    return Elements(
+        np.concatenate(nodes),
+        np.concatenate([own + start for own, start in zip(kind, first, strict=True)]),
+        np.concatenate(constants, axis=1),
+        np.concatenate(mass),
+    )
 
 
 def joined_cut_elements(parts: list[CutElements]) -> CutElements:

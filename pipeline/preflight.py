@@ -81,7 +81,9 @@ def threads_told(prepared: Prepared, asked: int, used: int) -> str:
     elif len(prepared.model.full.weight):
         why = 'integration.uncut = "full" runs on one'
     else:
-        why = f"each needs {2 * STRIP_ELEMENTS:,} uncut elements, of {len(prepared.model.elements.volume):,} here"
+        why = (
+            f"each needs {2 * STRIP_ELEMENTS:,} uncut elements, of {len(prepared.model.elements.kind):,} here"
+        )
     return f"threads   {used} of {asked}: {why}"
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.kernels import kernel
-from phantomnode.solver.model import CutElements, Model
-from phantomnode.solver.q4 import displacement_gradient
+from phantomnode.solver.model import V_LAME, V_SHEAR, VOLUME, CutElements, Elements, Model, of_each_kind
+from phantomnode.solver.q4 import as_points, displacement_gradient, element_gradient
 from phantomnode.solver.timestep import contact_by_element, element_rates
 
 Floats = NDArray[np.float64]
@@ -32,20 +32,14 @@ ITERATIONS = 12
 """Steps of the power method on four numbers: Rayleigh's quotient is then right to 1 % even in long cells."""
 
 
-class PointStiffness(NamedTuple):
-    """Integration points with what their stiffness was at the start.
+class Stiffness(NamedTuple):
+    """What the stiffness of integration points was at the start, and that of the elements that they belong to.
 
-    nodes (e, 4); first (e + 1,); gradient (p, 4, 2), 1/m; lame (e,), shear (e,), Pa; metric (p, 3) G11, G22, G12,
-    1/m^2; start (p,) largest eigenvalue undeformed, Pa/m^2; widest (p,) the bound 2 (lambda + mu) |G| on it,
-    over it; frequency2 (e,) and contact2 (e,) of the elements and of the penalty springs at them, 1/s^2;
-    viscosity (e,), 1/s.
+    metric (p, 3) G11, G22, G12, 1/m^2; start (p,) largest eigenvalue undeformed, Pa/m^2; widest (p,) the bound
+    2 (lambda + mu) |G| on it, over it; frequency2 (e,) and contact2 (e,) of the elements and of the penalty springs
+    at them, 1/s^2; viscosity (e,), 1/s.
     """
 
-    nodes: Ints
-    first: Ints
-    gradient: Floats
-    lame: Floats
-    shear: Floats
     metric: Floats
     start: Floats
     widest: Floats
@@ -67,16 +61,15 @@ class StepMonitor:
     def __init__(self, model: Model, speed: float = 0.0) -> None:
         frequency2, viscosity = element_rates(model, speed)
         rates = frequency2, contact_by_element(model), viscosity
-        e, m = model.elements, len(model.elements.volume)
+        m = len(model.elements.kind)
+        uncut, cut = ([rate[part] for rate in rates] for part in (slice(m), slice(m, None)))
+        self._points = [(model.cut_elements, stiffness_at_start(model.cut_elements, *cut))]
+        self._elements: tuple[Elements, Stiffness] | None = None
         if len(model.full.weight):
-            uncut = model.full
+            self._points.append((model.full, stiffness_at_start(model.full, *uncut)))
         else:
-            first = np.arange(m + 1)
-            uncut = CutElements(e.nodes, first, e.gradient, e.volume, e.lame, e.shear, e.mass)
-        self._lists = [
-            _points(uncut, *(rate[:m] for rate in rates)),
-            _points(model.cut_elements, *(rate[m:] for rate in rates)),
-        ]
+            kinds = as_points(of_each_kind(model.elements))
+            self._elements = model.elements, stiffness_at_start(kinds, *uncut)
         self._last: tuple[Floats, float] | None = None
 
     def at(self, u: Floats) -> float:
@@ -86,28 +79,30 @@ class StepMonitor:
         """
         if self._last is not None and self._last[0] is u:
             return self._last[1]
-        fastest = 0.0
-        for points in self._lists:
-            fastest = fastest_rate(points, np.ascontiguousarray(u), fastest)
+        fastest, u_now = 0.0, np.ascontiguousarray(u)
+        if self._elements is not None:
+            fastest = fastest_of_elements(*self._elements, u_now, fastest)
+        for points, at_start in self._points:
+            fastest = fastest_rate(points, at_start, u_now, fastest)
         self._last = u, 1.0 / fastest if fastest > 0.0 else math.inf
         return self._last[1]
 
 
-def _points(lists: CutElements, frequency2: Floats, contact2: Floats, viscosity: Floats) -> PointStiffness:
-    """The points of a list of elements."""
-    owner = np.repeat(np.arange(len(lists.lame)), np.diff(lists.first))
-    g = np.einsum("pia,pib->pab", lists.gradient, lists.gradient)
+def stiffness_at_start(
+    points: CutElements, frequency2: Floats, contact2: Floats, viscosity: Floats
+) -> Stiffness:
+    """That of integration points; the rates are those of all elements that are made of them, in their order."""
+    owner = np.repeat(np.arange(len(points.lame)), np.diff(points.first))
+    g = np.einsum("pia,pib->pab", points.gradient, points.gradient)
     metric = np.ascontiguousarray(np.column_stack([g[:, 0, 0], g[:, 1, 1], g[:, 0, 1]]))
-    moduli = lists.lame[owner], lists.shear[owner]
+    moduli = points.lame[owner], points.shear[owner]
     start = undeformed_eigenvalues(*moduli, metric)
     longest = 0.5 * (metric[:, 0] + metric[:, 1]) + np.hypot(
         0.5 * (metric[:, 0] - metric[:, 1]), metric[:, 2]
     )
     bound = 2.0 * (moduli[0] + moduli[1]) * longest
-    return PointStiffness(
-        lists.nodes, lists.first, lists.gradient, lists.lame, lists.shear, metric, start, bound / start,
-        np.ascontiguousarray(frequency2), np.ascontiguousarray(contact2), np.ascontiguousarray(viscosity),
-    )  # fmt: skip
+    rates = (np.ascontiguousarray(rate) for rate in (frequency2, contact2, viscosity))
+    return Stiffness(metric, start, bound / start, *rates)
 
 
 @kernel
@@ -121,20 +116,42 @@ def undeformed_eigenvalues(lame: Floats, shear: Floats, metric: Floats) -> Float
 
 
 @kernel
-def fastest_rate(points: PointStiffness, u: Floats, fastest: float) -> float:
+def fastest_rate(points: CutElements, stiffness: Stiffness, u: Floats, fastest: float) -> float:
     """The largest 1/dt of these elements and of what was found before, 1/s; infinite where J <= 0."""
     for e in range(len(points.lame)):
         for p in range(points.first[e], points.first[e + 1]):
-            h11, h12, h21, h22 = displacement_gradient(points.nodes[e], points.gradient[p], u)
-            growth = points.widest[p] * largest_growth(h11, h12, h21, h22)
-            if step_rate(growth * points.frequency2[e] + points.contact2[e], points.viscosity[e]) <= fastest:
-                continue  # most points: what follows costs ten times as much
-            g11, g22, g12 = points.metric[p, 0], points.metric[p, 1], points.metric[p, 2]
-            lame, shear = points.lame[e], points.shear[e]
-            growth = tangent_eigenvalue(h11, h12, h21, h22, lame, shear, g11, g22, g12) / points.start[p]
-            rate = step_rate(growth * points.frequency2[e] + points.contact2[e], points.viscosity[e])
-            fastest = max(fastest, rate)
+            h = displacement_gradient(points.nodes[e], points.gradient[p], u)
+            fastest = faster(h, points.lame[e], points.shear[e], stiffness, p, e, fastest)
     return fastest
+
+
+@kernel
+def fastest_of_elements(elements: Elements, stiffness: Stiffness, u: Floats, fastest: float) -> float:
+    """The same of uncut elements, whose points are those of their kinds."""
+    c = elements.constants
+    for e in range(len(elements.kind)):
+        k = elements.kind[e]
+        h = element_gradient(elements, e, u)
+        fastest = faster(
+            h, c[V_LAME, k] / c[VOLUME, k], c[V_SHEAR, k] / c[VOLUME, k], stiffness, k, e, fastest
+        )
+    return fastest
+
+
+@kernel(inline="always")
+def faster(
+    h: tuple[float, float, float, float], lame: float, shear: float,
+    stiffness: Stiffness, p: int, e: int, fastest: float,
+) -> float:  # fmt: skip
+    """The larger one of a rate and that of point p of element e at H = F - I, 1/s."""
+    h11, h12, h21, h22 = h
+    frequency2, contact2, viscosity = stiffness.frequency2[e], stiffness.contact2[e], stiffness.viscosity[e]
+    growth = stiffness.widest[p] * largest_growth(h11, h12, h21, h22)
+    if step_rate(growth * frequency2 + contact2, viscosity) <= fastest:
+        return fastest  # most points: what follows costs ten times as much
+    g11, g22, g12 = stiffness.metric[p, 0], stiffness.metric[p, 1], stiffness.metric[p, 2]
+    growth = tangent_eigenvalue(h11, h12, h21, h22, lame, shear, g11, g22, g12) / stiffness.start[p]
+    return max(fastest, step_rate(growth * frequency2 + contact2, viscosity))
 
 
 @kernel

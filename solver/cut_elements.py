@@ -14,7 +14,7 @@ from phantomnode.kernels import kernel
 from phantomnode.solver.block import BLOCK, POINT_LAME, POINT_SHEAR, ROOM, point_block
 from phantomnode.solver.hencky import energy_density
 from phantomnode.solver.layout import Points, point_lists
-from phantomnode.solver.model import CutElements
+from phantomnode.solver.model import CutElements, Nodes
 from phantomnode.solver.q4 import displacement_gradient, smallest_jacobian
 
 Floats = NDArray[np.float64]
@@ -22,7 +22,7 @@ Ints = NDArray[np.int64]
 
 
 def fragment_elements(
-    nodes: Ints,
+    nodes: Ints | Nodes,
     first: Ints,
     gradient: Floats,
     weight: Floats,
@@ -34,7 +34,7 @@ def fragment_elements(
 
     Parameters
     ----------
-    nodes : (c, 4) int64
+    nodes : (c, 4) integers
     first : (c + 1,) int64
         First integration point of each element.
     gradient : (p, 4, 2) float64, 1/m
@@ -58,7 +58,7 @@ def fragment_elements(
         return np.broadcast_to(np.asarray(value, dtype=np.float64), (c,)).copy()
 
     return CutElements(
-        nodes=np.ascontiguousarray(nodes, dtype=np.int64).reshape(c, 4),
+        nodes=np.ascontiguousarray(nodes, dtype=np.uint32).reshape(c, 4),
         first=first,
         gradient=np.ascontiguousarray(gradient, dtype=np.float64).reshape(-1, 4, 2),
         weight=weight,

@@ -18,7 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.kernels import kernel
-from phantomnode.solver.model import BulkViscosity, CutElements, Damping, Elements, Model, State
+from phantomnode.solver.model import (
+    GRADIENT,
+    V_LAME,
+    V_SHEAR,
+    BulkViscosity,
+    CutElements,
+    Damping,
+    Elements,
+    Model,
+    State,
+)
 from phantomnode.solver.q4 import displacement_gradient, hourglass_mode
 
 Floats = NDArray[np.float64]
@@ -40,10 +50,10 @@ def hourglass_viscosity(elements: Elements, fraction: float) -> Floats:
         Of the critical damping of a mode of the frequency that the hourglass stiffness kappa = 1 would give it,
         w^2 = 2 c_d^2 |grad N|^2; on a square c = fraction rho c_d h/4.
     """
-    e = elements
-    square = np.einsum("mia,mia->m", e.gradient, e.gradient)
-    wave_speed2 = (e.lame + 2.0 * e.shear) * e.volume / e.mass
-    return np.asarray(fraction * e.mass * np.sqrt(2.0 * wave_speed2 * square) / 8.0)
+    c, kind, mass = elements.constants, elements.kind, elements.mass
+    square = 2.0 * np.einsum("ik,ik->k", c[GRADIENT], c[GRADIENT])  # of all four nodes
+    frequency2 = 2.0 * (c[V_LAME] + 2.0 * c[V_SHEAR]) * square  # times the mass
+    return np.asarray(fraction * np.sqrt(frequency2[kind] * mass) / 8.0)
 
 
 def bulk_points(points: CutElements, length: Floats, linear: float, quadratic: float) -> BulkViscosity:
@@ -94,12 +104,16 @@ def add_bulk_viscosity(bulk: BulkViscosity, u: Floats, v: Floats, force: Floats)
 @kernel
 def add_hourglass_viscosity(elements: Elements, viscosity: Floats, v: Floats, force: Floats) -> None:
     """Add the forces -c gamma (gamma . v) to (n, 2) force, N/m, from (m,) viscosities and (n, 2) velocity."""
+    constants = elements.constants
     for e in range(len(viscosity)):
-        qx, qy = hourglass_mode(elements.nodes[e], elements.gamma[e], v)
-        for i in range(4):
-            n, share = elements.nodes[e, i], viscosity[e] * elements.gamma[e, i]
-            force[n, 0] -= share * qx
-            force[n, 1] -= share * qy
+        qx, qy = hourglass_mode(elements, e, v)
+        k, n = elements.kind[e], elements.nodes[e]
+        # gamma_I = h_I - s . grad N_I, with opposite gradients across a diagonal.
+        along1 = constants[4, k] * constants[0, k] + constants[5, k] * constants[1, k]
+        along2 = constants[4, k] * constants[2, k] + constants[5, k] * constants[3, k]
+        for i, share in ((0, 1.0 - along1), (1, -1.0 - along2), (2, 1.0 + along1), (3, along2 - 1.0)):
+            force[n[i], 0] -= viscosity[e] * share * qx
+            force[n[i], 1] -= viscosity[e] * share * qy
 
 
 @kernel

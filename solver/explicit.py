@@ -210,7 +210,7 @@ def look_steps(model: Model) -> int:
 
 
 def _elements(model: Model) -> int:
-    return max(1, len(model.elements.volume) + len(model.cut_elements.lame))
+    return max(1, len(model.elements.kind) + len(model.cut_elements.lame))
 
 
 def frames(
@@ -321,7 +321,7 @@ def _table(model: Model, motion: Motion, done: int, steps: int, dt: float) -> Fl
 
 def broken(model: Model, state: State, last: Frame) -> RunStopped:
     """The elements are inverted or not finite: say which, where and when."""
-    m = len(model.elements.volume)
+    m = len(model.elements.kind)
     uncut = (
         (cut_stress(model.full, state.u)[2], np.diff(model.full.first))
         if len(model.full.weight)

@@ -17,23 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.solver.model import CutElements, Elements, Model
+from phantomnode.solver.kinds import CHUNK, SHORTEST_ROW, onward
+from phantomnode.solver.model import CutElements, Elements, Model, Nodes
 from phantomnode.solver.search import Search, prepare_search
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-Nodes = NDArray[np.uint32]
-"""Numbers without a sign: a kernel need not look for negative indices."""
-
-SHORTEST_ROW = 4
-"""Fewer elements in a row are cheaper as scattered ones."""
-
-ROUNDING = 16.0 * np.finfo(np.float64).eps
-"""Constants that differ by no more than this part times x/h differ by the rounding of the positions x only."""
-
-CHUNK = 1 << 18
-"""Elements looked at together: what is needed in between stays small."""
-
 STRIPS, STRIP_ELEMENTS = 64, 2048
 """Most strips, and the least mean number of elements in one."""
 
@@ -45,7 +34,7 @@ class Rows(NamedTuple):
     """Rows of equal elements.
 
     low (r,), high (r,) first node of the lower and of the upper side, length (r,) elements; kind (r,) row of
-    ``constants`` (kinds, 9), see :mod:`phantomnode.solver.block`; strip (strips + 1,) first row of each strip.
+    ``constants`` (kinds, 10), see :mod:`phantomnode.solver.model`; strip (strips + 1,) first row of each strip.
     """
 
     low: Ints
@@ -57,10 +46,15 @@ class Rows(NamedTuple):
 
 
 class Scattered(NamedTuple):
-    """Elements that are in no row: nodes (g, 4); constants (9, g); strip (strips + 1,) first one of each strip."""
+    """Elements that are in no row.
+
+    nodes (g, 4); constants (10, k) of kinds of elements, of which ``first`` is that of the first element here, and
+    those of the others follow; strip (strips + 1,) first element of each strip.
+    """
 
     nodes: Nodes
     constants: Floats
+    first: int
     strip: Ints
 
 
@@ -108,7 +102,7 @@ class Layout(NamedTuple):
 def prepare_layout(model: Model, threads: int = 1) -> Layout:
     """The lists of a model as the time loop reads them, for at most so many threads."""
     whole = len(model.full.weight) > 0
-    rows, scattered = uncut_lists(_none_of(model.elements) if whole else model.elements, model.x)
+    rows, scattered = uncut_lists(model.elements.some(slice(0)) if whole else model.elements)
     mass, held = model.mass, np.argwhere(model.channel >= 0)
     load = model.load if np.any(model.load) else np.zeros((0, 2))
     most = min(threads, len(rows.strip) // 2)
@@ -129,108 +123,60 @@ def prepare_layout(model: Model, threads: int = 1) -> Layout:
     )
 
 
-def _none_of(elements: Elements) -> Elements:
-    return Elements._make(field[:0] for field in elements)
-
-
-def element_constants(elements: Elements) -> Floats:
-    """(9, m) What an element needs beside its nodes, see :mod:`phantomnode.solver.block`."""
-    e = elements
-    # gamma = h - s . grad N sums with h and -h over the nodes of a diagonal to 2 - 2 s . grad N_1, and so on.
-    first, second = e.gradient[:, 0], e.gradient[:, 1]
-    along = 1.0 - e.gamma[:, 0], -1.0 - e.gamma[:, 1]
-    determinant = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    sx = (along[0] * second[:, 1] - along[1] * first[:, 1]) / determinant
-    sy = (along[1] * first[:, 0] - along[0] * second[:, 0]) / determinant
-    return np.stack([*first.T, *second.T, sx, sy, e.volume * e.lame, e.volume * e.shear, e.hourglass])
-
-
-def uncut_lists(elements: Elements, x: Floats) -> tuple[Rows, Scattered]:
-    """Rows and scattered elements, and their strips.
-
-    Parameters
-    ----------
-    elements : Elements
-    x : (n, 2) float64, metres
-        Reference positions of the nodes.
-    """
-    first, length = _rows(elements, x)
-    in_row = np.zeros(len(elements.volume) + 1, dtype=np.int8)
+def uncut_lists(elements: Elements) -> tuple[Rows, Scattered]:
+    """Rows and scattered elements, and their strips."""
+    first, length = _rows(elements)
+    in_row = np.zeros(len(elements.kind) + 1, dtype=np.int8)
     in_row[first] += 1
     in_row[first + length] -= 1
     single = np.flatnonzero(np.cumsum(in_row, dtype=np.int8)[:-1] == 0)
     bounds = _strips(elements.nodes, np.sort(np.concatenate([first, single])))
-    constants, rounding = _with_rounding(elements, first, x)
-    coarse = np.max(rounding, axis=1, initial=0.0, keepdims=True)
-    whole = np.round(constants / np.where(coarse > 0.0, coarse, 1.0))
-    _, kinds, kind = np.unique(whole, axis=1, return_index=True, return_inverse=True)
+    kinds, kind = np.unique(elements.kind[first], return_inverse=True)
     rows = Rows(
-        low=elements.nodes[first, 0],
-        high=elements.nodes[first, 3],
+        low=elements.nodes[first, 0].astype(np.int64),
+        high=elements.nodes[first, 3].astype(np.int64),
         length=length,
         kind=kind.reshape(-1).astype(np.int64),
-        constants=np.ascontiguousarray(constants[:, kinds].T),
+        constants=np.ascontiguousarray(elements.constants[:, kinds].T),
         strip=np.searchsorted(first, bounds).astype(np.int64),
     )
-    scattered = Scattered(
-        nodes=elements.nodes[single].astype(np.uint32),
-        constants=element_constants(Elements._make(field[single] for field in elements)),
-        strip=np.searchsorted(single, bounds).astype(np.int64),
-    )
-    return rows, scattered
+    return rows, _scattered(elements, single, np.searchsorted(single, bounds).astype(np.int64))
 
 
 def scattered_lists(elements: Elements) -> tuple[Rows, Scattered]:
     """All elements as scattered ones, in one strip, and no rows."""
-    none, whole = np.zeros(0, dtype=np.int64), np.array([0, len(elements.volume)])
-    rows = Rows(none, none, none, none, np.zeros((0, 9)), np.zeros(2, dtype=np.int64))
-    return rows, Scattered(elements.nodes.astype(np.uint32), element_constants(elements), whole)
+    none, every = np.zeros(0, dtype=np.int64), np.arange(len(elements.kind))
+    rows = Rows(none, none, none, none, np.zeros((0, len(elements.constants))), np.zeros(2, dtype=np.int64))
+    return rows, _scattered(elements, every, np.array([0, len(every)]))
 
 
-def _with_rounding(elements: Elements, which: Ints | slice, x: Floats) -> tuple[Floats, Floats]:
-    """(9, k) Constants of some elements, and what the rounding of the positions can make of them."""
-    constants = element_constants(Elements._make(field[which] for field in elements))
-    steep = np.max(np.abs(constants[:4]), axis=0, initial=0.0)
-    size = np.stack([*[steep] * 4, *[1.0 / steep] * 2, *np.abs(constants[6:])])
-    return constants, np.asarray(ROUNDING * np.max(np.abs(x), initial=0.0) * steep * size)
+def _scattered(elements: Elements, single: Ints, strip: Ints) -> Scattered:
+    """The scattered elements; nodes and constants are views of the model's where they stand together there."""
+    kind = elements.kind[single]
+    first = int(kind[0]) if len(kind) else 0
+    if np.array_equal(kind, np.arange(first, first + len(kind))):
+        constants = elements.constants
+    else:
+        constants, first = elements.constants[:, kind], 0
+    together = len(single) > 0 and single[-1] - single[0] + 1 == len(single)
+    which = slice(single[0], single[-1] + 1) if together else single
+    return Scattered(elements.nodes[which], constants, first, strip)
 
 
-def _rows(elements: Elements, x: Floats) -> tuple[Ints, Ints]:
-    """First element and number of elements of each row."""
-    m = len(elements.volume)
+def _rows(elements: Elements) -> tuple[Ints, Ints]:
+    """First element and number of elements of each row of one kind."""
+    m = len(elements.kind)
     breaks = np.ones(m, dtype=bool)
     for start in range(1, m, CHUNK):
         stop = min(start + CHUNK, m)
-        nodes = elements.nodes[start - 1 : stop]
-        constants, rounding = _with_rounding(elements, slice(start - 1, stop), x)
-        onward = np.all(np.diff(nodes, axis=0) == 1, axis=1)
-        onward &= (nodes[1:, 0] == nodes[:-1, 1]) & (nodes[1:, 3] == nodes[:-1, 2])
-        onward &= np.all(np.abs(np.diff(constants, axis=1)) <= rounding[:, 1:], axis=0)
-        breaks[start:stop] = ~onward
+        kind = elements.kind[start - 1 : stop]
+        breaks[start:stop] = ~(onward(elements, slice(start - 1, stop)) & (kind[1:] == kind[:-1]))
     first = np.flatnonzero(breaks)
     length = np.diff(np.append(first, m))
-    first, length = first[length >= SHORTEST_ROW], length[length >= SHORTEST_ROW]
-    return _equal(elements, first, length, x)
+    return first[length >= SHORTEST_ROW], length[length >= SHORTEST_ROW]
 
 
-def _equal(elements: Elements, first: Ints, length: Ints, x: Floats) -> tuple[Ints, Ints]:
-    """The rows all of whose elements are like their first one: small differences add up in a graded grid."""
-    alike = np.ones(len(first), dtype=bool)
-    begin = 0
-    while begin < len(first):
-        end = max(begin + 1, int(np.searchsorted(np.cumsum(length[begin:]), CHUNK)) + begin)
-        members = np.concatenate(
-            [np.arange(a, a + n) for a, n in zip(first[begin:end], length[begin:end], strict=True)]
-        )
-        constants, rounding = _with_rounding(elements, members, x)
-        bounds = np.cumsum(length[begin:end]) - length[begin:end]
-        unlike = np.abs(constants - np.repeat(constants[:, bounds], length[begin:end], axis=1)) > rounding
-        alike[begin:end] = ~np.logical_or.reduceat(unlike.any(axis=0), bounds)
-        begin = end
-    return first[alike], length[alike]
-
-
-def _strips(nodes: Ints, units: Ints) -> Ints:
+def _strips(nodes: Nodes, units: Ints) -> Ints:
     """(strips + 1,) First element of each strip; ``units`` are the elements at which one may begin."""
     m = len(nodes)
     strips = max(1, min(STRIPS, m // STRIP_ELEMENTS))
@@ -246,7 +192,7 @@ def _strips(nodes: Ints, units: Ints) -> Ints:
         strips //= 2
 
 
-def _apart(nodes: Ints, bounds: Ints) -> bool:
+def _apart(nodes: Nodes, bounds: Ints) -> bool:
     """Whether no node belongs to two even strips, or to two odd ones."""
     for parity in (0, 1):
         taken = np.zeros(int(nodes.max()) + 1, dtype=np.bool_)
@@ -262,7 +208,7 @@ def point_lists(points: CutElements) -> Points:
     """Integration points by columns."""
     owner = np.repeat(np.arange(len(points.lame)), np.diff(points.first))
     return Points(
-        nodes=points.nodes.astype(np.uint32),
+        nodes=points.nodes,
         first=points.first,
         gradient=np.ascontiguousarray(points.gradient.reshape(-1, 8).T),
         lame=points.weight * points.lame[owner],

@@ -24,7 +24,7 @@ from phantomnode.solver.friction import add_friction_forces, friction_power, let
 from phantomnode.solver.layout import Held, Layout
 from phantomnode.solver.model import Contact, CutElements, Elements, Model, State
 from phantomnode.solver.motion import move_nodes, reset
-from phantomnode.solver.q4 import smallest_jacobian
+from phantomnode.solver.q4 import smallest_element_jacobian, smallest_jacobian
 from phantomnode.solver.search import Candidates, Search, build_candidates, outdated
 from phantomnode.solver.surface_loads import add_loads, add_support_forces, load_power
 from phantomnode.solver.uncut import add_uncut_forces
@@ -124,7 +124,7 @@ def evaluate_forces(model: Model, layout: Layout, state: State) -> int:
 def find_smallest_jacobian(elements: Elements, full: CutElements, cut: CutElements, u: Floats) -> float:
     """The smallest J of all points, NaN where one is not finite."""
     if len(full.weight) == 0:
-        uncut_j = smallest_jacobian(elements.nodes, np.arange(len(elements.nodes) + 1), elements.gradient, u)
+        uncut_j = smallest_element_jacobian(elements, u)
     else:
         uncut_j = smallest_jacobian(full.nodes, full.first, full.gradient, u)
     cut_j = smallest_jacobian(cut.nodes, cut.first, cut.gradient, u)

@@ -10,12 +10,17 @@ from phantomnode.solver.timestep import contact_by_element, element_rates
 
 Floats = NDArray[np.float64]
 
+CHUNK = 1 << 16
+"""Elements whose mass is added at once."""
+
 
 def lumped_mass(nodes: int, elements: Elements, cut_elements: CutElements) -> Floats:
     """(nodes,) A quarter of the mass of each element on each of its nodes, kg/m (paper, end of 2.2)."""
     mass = np.zeros(nodes)
-    np.add.at(mass, elements.nodes, 0.25 * elements.mass[:, None])
-    np.add.at(mass, cut_elements.nodes, 0.25 * cut_elements.mass[:, None])
+    for group in (elements, cut_elements):
+        for start in range(0, len(group.mass), CHUNK):
+            part = slice(start, start + CHUNK)
+            np.add.at(mass, group.nodes[part], 0.25 * group.mass[part, None])
     return mass
 
 

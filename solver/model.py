@@ -1,6 +1,7 @@
 """The only structures that kernels see: NamedTuples of arrays (and the numbers that go with them).
 
-Indices are int64, numbers float64, C-contiguous. SI units, plane strain, per metre of thickness.
+Numbers are float64, C-contiguous; nodes of elements are uint32, other indices int64. SI units, plane strain, per
+metre of thickness.
 """
 
 from __future__ import annotations
@@ -14,22 +15,81 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
+Nodes = NDArray[np.uint32]
+"""Numbers without a sign: a kernel need not look for negative indices."""
+
+GRADIENT, SKEW = slice(0, 4), slice(4, 6)
+V_LAME, V_SHEAR, HOURGLASS, VOLUME = 6, 7, 8, 9
+"""Rows of the constants of a kind of elements."""
+
+
 class Elements(NamedTuple):
     """Uncut elements: one integration point and Flanagan-Belytschko hourglass control.
 
-    nodes (m, 4); gradient (m, 4, 2) of N_I at the centre, 1/m; volume (m,), m^2 (per metre of thickness);
-    gamma (m, 4) hourglass vector; hourglass (m,) hourglass stiffness k, N/m, with force k gamma (gamma . u);
-    lame (m,) lambda, Pa; shear (m,) mu, Pa; mass (m,), kg/m, of which a quarter stands on each node.
+    What elements are made of is kept once for each kind of them, so that a structured grid costs no more than its
+    nodes. Gradients of nodes across a diagonal are opposite, grad N_3 = -grad N_1 and grad N_4 = -grad N_2, and the
+    hourglass vector is gamma_I = h_I - s . grad N_I with h = (1, -1, 1, -1) and s = sum h_I x_I.
+
+    nodes (m, 4); kind (m,) uint32, column of the constants; constants (10, k) of each kind: grad N_1 and grad N_2 at
+    the centre, x before y, 1/m; s, m; V lambda and V mu, N; the hourglass stiffness c of the force
+    c gamma (gamma . u), N/m; the volume V, m^2 (per metre of thickness); mass (m,), kg/m, of which a quarter stands
+    on each node.
+
+    The properties are arrays of all elements, made when they are asked for.
     """
 
-    nodes: Ints
-    gradient: Floats
-    volume: Floats
-    gamma: Floats
-    hourglass: Floats
-    lame: Floats
-    shear: Floats
+    nodes: Nodes
+    kind: Nodes
+    constants: Floats
     mass: Floats
+
+    def some(self, which: Ints | slice) -> Elements:
+        """Some of the elements, in that order, with the constants of all kinds."""
+        return Elements(self.nodes[which], self.kind[which], self.constants, self.mass[which])
+
+    @property
+    def gradient(self) -> Floats:
+        """(m, 4, 2) Gradients of N_I at the centre, 1/m."""
+        half = self.constants[GRADIENT, self.kind].T.reshape(-1, 2, 2)
+        return np.concatenate([half, -half], axis=1)
+
+    @property
+    def gamma(self) -> Floats:
+        """(m, 4) Hourglass vectors."""
+        g, s = self.constants[GRADIENT, self.kind].reshape(2, 2, -1), self.constants[SKEW, self.kind]
+        first, second = np.einsum("iak,ak->ik", g, s)
+        return np.column_stack([1.0 - first, -1.0 - second, 1.0 + first, second - 1.0])
+
+    @property
+    def volume(self) -> Floats:
+        """(m,) Volumes, m^2 (per metre of thickness)."""
+        return np.asarray(self.constants[VOLUME, self.kind])
+
+    @property
+    def hourglass(self) -> Floats:
+        """(m,) Hourglass stiffness, N/m."""
+        return np.asarray(self.constants[HOURGLASS, self.kind])
+
+    @property
+    def lame(self) -> Floats:
+        """(m,) lambda, Pa."""
+        return np.asarray(self.constants[V_LAME, self.kind] / self.volume)
+
+    @property
+    def shear(self) -> Floats:
+        """(m,) mu, Pa."""
+        return np.asarray(self.constants[V_SHEAR, self.kind] / self.volume)
+
+
+def of_each_kind(elements: Elements) -> Elements:
+    """An element of each kind, on no nodes and without mass."""
+    kinds = elements.constants.shape[1]
+    return Elements(
+        np.zeros((kinds, 4), np.uint32),
+        np.arange(kinds, dtype=np.uint32),
+        elements.constants,
+        np.zeros(kinds),
+    )
 
 
 class CutElements(NamedTuple):
@@ -39,7 +99,7 @@ class CutElements(NamedTuple):
     at each point, 1/m; weight (p,), m^2; lame (c,), shear (c,), Pa; mass (c,), kg/m.
     """
 
-    nodes: Ints
+    nodes: Nodes
     first: Ints
     gradient: Floats
     weight: Floats
@@ -62,7 +122,7 @@ class BulkViscosity(NamedTuple):
     r = -dJ/dt > 0; length (e,), m, of the jump of velocity that a rate stands for.
     """
 
-    nodes: Ints
+    nodes: Nodes
     first: Ints
     gradient: Floats
     weight: Floats
@@ -84,12 +144,12 @@ class Damping(NamedTuple):
 
 
 NO_POINTS = CutElements(
-    np.zeros((0, 4), dtype=np.int64), np.zeros(1, dtype=np.int64), np.zeros((0, 4, 2)), *(np.zeros(0),) * 4
+    np.zeros((0, 4), dtype=np.uint32), np.zeros(1, dtype=np.int64), np.zeros((0, 4, 2)), *(np.zeros(0),) * 4
 )
 """A list without an element."""
 
 NO_BULK_VISCOSITY = BulkViscosity(
-    np.zeros((0, 4), dtype=np.int64), np.zeros(1, dtype=np.int64), np.zeros((0, 4, 2)), *(np.zeros(0),) * 4
+    np.zeros((0, 4), dtype=np.uint32), np.zeros(1, dtype=np.int64), np.zeros((0, 4, 2)), *(np.zeros(0),) * 4
 )
 
 NO_DAMPING = Damping(0.0, np.zeros(0), NO_BULK_VISCOSITY)

@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.solver.contact import reference_length
-from phantomnode.solver.model import Contact, CutElements, Elements, Model
+from phantomnode.solver.model import Contact, CutElements, Elements, Model, of_each_kind
 from phantomnode.solver.surface_loads import support_stiffness
 
 Floats = NDArray[np.float64]
 
-CHUNK = 65536
-"""Elements whose stiffness is looked at at once: 64 numbers each."""
-
-CUT_CHUNK = 4096
-"""The same for elements of some ten integration points each."""
+CHUNK = 4096
+"""Elements whose stiffness is looked at at once: 64 numbers each, and for each of the points of cut ones."""
 
 
 class StepEstimate(NamedTuple):
@@ -138,50 +135,30 @@ def _hourglass_rates(model: Model, count: int) -> Floats:
     """(count,) Eigenvalue of the hourglass viscosity of each element with its mass, 1/s; zero on cut ones."""
     rates, viscosity, e = np.zeros(count), model.damping.hourglass, model.elements
     if len(viscosity):
-        rates[: len(viscosity)] = viscosity * np.einsum("mi,mi->m", e.gamma, e.gamma) / (0.25 * e.mass)
+        gamma = of_each_kind(e).gamma
+        square = np.einsum("ki,ki->k", gamma, gamma)[e.kind]
+        rates[: len(viscosity)] = viscosity * square / (0.25 * e.mass)
     return rates
 
 
 def _uncut_eigenvalues(elements: Elements) -> Floats:
     """(m,) Largest eigenvalue of each uncut element with its own mass, 1/s^2."""
-    eigenvalues = np.zeros(len(elements.volume))
-    for start in range(0, len(elements.volume), CHUNK):
-        part = slice(start, start + CHUNK)
-        block = Elements._make(field[part] for field in elements)
-        quarter = 0.25 * block.mass
-        # Elements of one kind (most of a structured grid) have the same stiffness: look at each kind once.
-        kinds, kind = _kinds(
-            np.column_stack(
-                [
-                    block.gradient.reshape(-1, 8) * np.sqrt(block.lame * block.volume / quarter)[:, None],
-                    block.gradient.reshape(-1, 8) * np.sqrt(block.shear * block.volume / quarter)[:, None],
-                    block.gamma * np.sqrt(block.hourglass / quarter)[:, None],
-                ]
-            )
-        )
-        e = Elements._make(field[kinds] for field in block)
+    kinds = of_each_kind(elements)
+    largest = np.zeros(len(kinds.kind))
+    for start in range(0, len(largest), CHUNK):
+        e = kinds.some(slice(start, start + CHUNK))
         stiffness = e.volume[:, None, None] * _strain_stiffness(e.gradient, e.lame, e.shear)
         mode = np.einsum("mi,mj,ab->miajb", e.gamma, e.gamma, np.eye(2)).reshape(-1, 8, 8)
         stiffness += e.hourglass[:, None, None] * mode
-        eigenvalues[part] = np.linalg.eigvalsh(stiffness / quarter[kinds, None, None])[kind, -1]
-    return eigenvalues
-
-
-def _kinds(features: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The first row of every kind of rows that agree to rounding (by their product with a fixed vector), and
-    the kind of each row.
-    """
-    weights = np.random.default_rng(0).uniform(1.0, 2.0, features.shape[1])
-    key = features @ weights / np.max(np.abs(features) @ weights)
-    _, first, kind = np.unique(np.round(key, 10), return_index=True, return_inverse=True)
-    return first, kind.reshape(-1)
+        largest[start : start + CHUNK] = np.linalg.eigvalsh(stiffness)[:, -1]
+    return np.asarray(largest[elements.kind] / (0.25 * elements.mass))
 
 
 def cut_eigenvalues(cut: CutElements) -> Floats:
     """(c,) Largest eigenvalue of each element of integration points with its own mass, 1/s^2."""
     eigenvalues = np.zeros(len(cut.lame))
-    for start in range(0, len(cut.lame), CUT_CHUNK):
-        stop = min(start + CUT_CHUNK, len(cut.lame))
+    for start in range(0, len(cut.lame), CHUNK):
+        stop = min(start + CHUNK, len(cut.lame))
         points = slice(cut.first[start], cut.first[stop])
         owner = np.repeat(np.arange(stop - start), np.diff(cut.first[start : stop + 1]))
         moduli = cut.lame[start + owner], cut.shear[start + owner]

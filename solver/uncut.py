@@ -32,7 +32,7 @@ from phantomnode.solver.block import (
 )
 from phantomnode.solver.layout import Rows, Scattered, scattered_lists
 from phantomnode.solver.model import Elements
-from phantomnode.solver.q4 import smallest_jacobian
+from phantomnode.solver.q4 import smallest_element_jacobian
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -54,7 +54,7 @@ def add_element_forces(elements: Elements, u: Floats, force: Floats) -> float:
         The smallest J met; NaN where one is not finite.
     """
     add_uncut_forces(*scattered_lists(elements), u, force, None)
-    return smallest_jacobian(elements.nodes, np.arange(len(elements.nodes) + 1), elements.gradient, u)
+    return smallest_element_jacobian(elements, u)
 
 
 @kernel
@@ -143,7 +143,7 @@ def add_row(a1: Floats, a2: Floats, c: Floats, low: Floats, high: Floats) -> Non
 def gather(block: Floats, scattered: Scattered, start: int, count: int, u: Floats) -> None:
     """Differences and constants of the elements from ``start`` on."""
     ux, uy = u[:, 0], u[:, 1]
-    nodes = scattered.nodes[start : start + count]
+    nodes, first = scattered.nodes[start : start + count], scattered.first + start
     for k in range(count):
         n1, n2, n3, n4 = nodes[k, 0], nodes[k, 1], nodes[k, 2], nodes[k, 3]
         u1, u2, u3, u4 = ux[n1], ux[n2], ux[n3], ux[n4]
@@ -151,7 +151,7 @@ def gather(block: Floats, scattered: Scattered, start: int, count: int, u: Float
         u1, u2, u3, u4 = uy[n1], uy[n2], uy[n3], uy[n4]
         block[D1Y + k], block[D2Y + k], block[HY + k] = u1 - u3, u2 - u4, (u1 - u2) + (u3 - u4)
     for c in range(CONSTANTS):
-        row, given = block[G1X + c * BLOCK :], scattered.constants[c, start : start + count]
+        row, given = block[G1X + c * BLOCK :], scattered.constants[c, first : first + count]
         for k in range(count):
             row[k] = given[k]
 

@@ -7,19 +7,25 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from statics import one_body
+from test_elements import grid
 
 from phantomnode.solver.current_step import (
     ITERATIONS,
-    PointStiffness,
     StepMonitor,
+    Stiffness,
+    fastest_of_elements,
     fastest_rate,
     largest_growth,
     principal_tangent,
     step_rate,
+    stiffness_at_start,
     tangent_eigenvalue,
     undeformed_eigenvalues,
 )
 from phantomnode.solver.hencky import first_piola
+from phantomnode.solver.kinds import shared_kinds
+from phantomnode.solver.model import CutElements, of_each_kind
+from phantomnode.solver.q4 import as_points, one_point_elements
 from phantomnode.solver.timestep import stable_step
 
 LAME, SHEAR = 5.769230769e9, 3.846153846e9
@@ -141,18 +147,35 @@ def test_the_fastest_of_some_elements_agrees_with_numpy():
     start = np.array([twin_eigenvalue(np.zeros(4), row) for row in metric])
     widest = 2.0 * (LAME + SHEAR) * np.trace(np.einsum("pia,pib->pab", gradient, gradient), axis1=1, axis2=2)
     frequency2, contact2, viscosity = rng.uniform(1, 2, (3, 3))
-    points = PointStiffness(
-        nodes, first, gradient, np.full(3, LAME), np.full(3, SHEAR), metric, start, widest / start, frequency2,
-        contact2, viscosity,
-    )  # fmt: skip
+    moduli = np.full(3, LAME), np.full(3, SHEAR)
+    points = CutElements(nodes.astype(np.uint32), first, gradient, np.ones(6), *moduli, np.ones(3))
+    stiffness = Stiffness(metric, start, widest / start, frequency2, contact2, viscosity)
     for size in (0.0, 0.05, 0.1):
         u = size * rng.uniform(-1, 1, (8, 2))
         h = np.einsum("pia,pib->pab", u[nodes[owner]], gradient).reshape(-1, 4)
         growth = np.array([twin_eigenvalue(*of) for of in zip(h, metric, strict=True)]) / start
         square, slowing = (growth * frequency2[owner] + contact2[owner]), viscosity[owner]
         rates = 0.25 * (slowing + np.sqrt(slowing**2 + 4.0 * square))
-        assert fastest_rate(points, u, 0.0) == pytest.approx(rates.max(), rel=1e-13)
-        assert fastest_rate(points, u, 99.0) == 99.0
+        assert fastest_rate(points, stiffness, u, 0.0) == pytest.approx(rates.max(), rel=1e-13)
+        assert fastest_rate(points, stiffness, u, 99.0) == 99.0
+
+
+@pytest.mark.twin("current_step.faster", "current_step.fastest_of_elements")
+def test_uncut_elements_are_as_fast_as_their_points():
+    """The same elements of two kinds and of one each, and as integration points."""
+    x, quads = grid(6, 5, 0.2)
+    x[:14] = grid(6, 1)[0]
+    own = one_point_elements(quads, x[quads], LAME, SHEAR, 1.0)
+    shared = shared_kinds(own, x)
+    assert shared.constants.shape[1] == 1 + 24
+    rates = np.random.default_rng(4).uniform(1, 2, (3, 30))
+    u = 0.05 * np.random.default_rng(5).uniform(-1, 1, x.shape)
+    points = as_points(own)
+    expected = fastest_rate(points, stiffness_at_start(points, *rates), u, 0.0)
+    for elements in (own, shared):
+        stiffness = stiffness_at_start(as_points(of_each_kind(elements)), *rates)
+        assert fastest_of_elements(elements, stiffness, u, 0.0) == pytest.approx(expected, rel=1e-12)
+        assert fastest_of_elements(elements, stiffness, u, 99.0) == 99.0
 
 
 def test_rotation_changes_nothing_and_inversion_is_told():

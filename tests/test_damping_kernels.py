@@ -16,18 +16,14 @@ from phantomnode.solver.damping import (
 from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import initial_state
 from phantomnode.solver.model import NO_DAMPING, CutElements
-
-
-def points_of(e):
-    first = np.arange(len(e.volume) + 1)
-    return CutElements(e.nodes, first, e.gradient, e.volume, e.lame, e.shear, e.mass)
+from phantomnode.solver.q4 import as_points
 
 
 def damped(model, mass=0.0, linear=0.0, quadratic=0.0, hourglass=0.0):
     damping = NO_DAMPING._replace(mass=mass)
     e = model.elements
     if linear or quadratic:
-        damping = damping._replace(bulk=bulk_points(points_of(e), np.sqrt(e.volume), linear, quadratic))
+        damping = damping._replace(bulk=bulk_points(as_points(e), np.sqrt(e.volume), linear, quadratic))
     if hourglass:
         damping = damping._replace(hourglass=hourglass_viscosity(e, hourglass))
     return model._replace(damping=damping)

@@ -262,7 +262,7 @@ def test_a_run_goes_on_from_the_frames_between_too(monkeypatch):
     model, velocity, _ = two_blocks()
     dt = stable_step(model).dt
     monkeypatch.setattr(explicit, "LOOK_STEPS", (1, 70))
-    monkeypatch.setattr(explicit, "ASK_WORK", 16 * len(model.elements.volume))
+    monkeypatch.setattr(explicit, "ASK_WORK", 16 * len(model.elements.kind))
     arguments = model, velocity, dt, [0, 100, 300], STILL, 0.05
     whole = list(frames(*arguments))
     every = list(frames(*arguments, looks=True))

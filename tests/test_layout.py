@@ -5,11 +5,13 @@ from __future__ import annotations
 import numba
 import numpy as np
 import pytest
-from test_elements import LAME, RHO, SHEAR, grid, twin_forces
+from test_elements import LAME, RHO, SHEAR, gradients_at, grid, twin_forces
 
 from phantomnode.solver import layout as layouts
 from phantomnode.solver.block import BLOCK
-from phantomnode.solver.layout import SHORTEST_ROW, element_constants, scattered_lists, uncut_lists
+from phantomnode.solver.kinds import SHORTEST_ROW, shared_kinds
+from phantomnode.solver.layout import scattered_lists, uncut_lists
+from phantomnode.solver.model import V_LAME
 from phantomnode.solver.motion import NODE_RANGE, move_by_threads
 from phantomnode.solver.q4 import one_point_elements
 from phantomnode.solver.uncut import add_row, add_uncut_forces
@@ -41,7 +43,7 @@ def test_rows_make_the_forces_of_numpy_and_of_scattered_elements(columns, size):
     """Around the length of a block; at the larger size with strains on both sides of the limit of the series."""
     x, _, e = uniform(columns, 5, low=(3.0, -7.0))
     u = waves(x, size)
-    rows, scattered = uncut_lists(e, x)
+    rows, scattered = uncut_lists(shared_kinds(e, x))
     assert rows.length.tolist() == [columns] * 5 and len(scattered.nodes) == 0 and len(rows.constants) == 1
     expected = twin_forces(e, u)
     # Positions of 7 m round to 1e-15 m, of which 1e-13 remains in a cell of 0.01 m.
@@ -49,7 +51,7 @@ def test_rows_make_the_forces_of_numpy_and_of_scattered_elements(columns, size):
     assert np.abs(forces((rows, scattered), u) - expected).max() < scale
     assert np.abs(forces(scattered_lists(e), u) - expected).max() < scale
     exact = uniform(columns, 5, h=2.0**-7, low=(3.0, -7.0))
-    lists = uncut_lists(exact[2], exact[0])
+    lists = uncut_lists(shared_kinds(exact[2], exact[0]))
     twin = twin_forces(exact[2], u)
     assert np.abs(forces(lists, u) - twin).max() < 1e-13 * np.abs(twin).max()
 
@@ -66,14 +68,36 @@ def test_forces_of_a_row_go_to_both_of_its_sides():
     np.testing.assert_allclose([low, high], expected, rtol=0, atol=1e-14)
 
 
-def test_constants_hold_the_hourglass_vector():
+def test_constants_hold_gradients_and_hourglass_vectors():
     """gamma = h - s . grad N, and gradients across a diagonal are opposite, on crooked elements too."""
     x, quads = grid(4, 3, 0.25)
+    e, corners = one_point_elements(quads, x[quads], LAME, SHEAR, RHO), x[quads]
+    gradient = np.array([gradients_at(each, np.zeros(2)) for each in corners])
+    np.testing.assert_allclose(e.gradient, gradient, rtol=0, atol=1e-14)
+    h = np.array([1.0, -1.0, 1.0, -1.0])
+    gamma = h - np.einsum("mia,ma->mi", gradient, np.einsum("i,mia->ma", h, corners))
+    np.testing.assert_allclose(e.gamma, gamma, rtol=0, atol=1e-14)
+    np.testing.assert_allclose([e.lame, e.shear], np.tile([[LAME], [SHEAR]], 12), rtol=3e-16)
+
+
+def test_elements_of_a_row_share_a_kind_and_others_keep_theirs():
+    """Three rows of one kind and eight other elements; kinds in another order give the same forces."""
+    x, quads, e = uniform(9, 3)
+    x[23] += 0.001
     e = one_point_elements(quads, x[quads], LAME, SHEAR, RHO)
-    constants = element_constants(e)
-    np.testing.assert_allclose(e.gradient[:, 2:], -e.gradient[:, :2], rtol=0, atol=1e-15)
-    gamma = [1, -1, 1, -1] - np.einsum("mia,am->mi", e.gradient, constants[4:6])
-    np.testing.assert_allclose(gamma, e.gamma, rtol=0, atol=1e-14)
+    shared = shared_kinds(e, x)
+    assert shared.kind.dtype == np.uint32 and shared.constants.shape == (10, 9)
+    np.testing.assert_array_equal(
+        shared.kind.reshape(3, 9)[1:], [[1, 2, 3, 4, *[0] * 5], [5, 6, 7, 8, *[0] * 5]]
+    )
+    np.testing.assert_allclose(shared.gradient, e.gradient, rtol=0, atol=1e-11)
+    u, backwards = (
+        waves(x, 1e-4),
+        shared._replace(kind=8 - shared.kind, constants=shared.constants[:, ::-1].copy()),
+    )
+    scattered = uncut_lists(shared)[1]
+    assert scattered.constants is shared.constants
+    assert np.array_equal(forces(uncut_lists(shared), u), forces(uncut_lists(backwards), u))
 
 
 def broken_row(name):
@@ -81,7 +105,7 @@ def broken_row(name):
     x, quads, e = uniform(40, 3)
     middle = np.arange(40, 80)
     if name == "a stiffer element":
-        e.lame[60] *= 1.0 + 1e-9
+        e.constants[V_LAME, 60] *= 1.0 + 1e-9
     elif name == "a node of another number":
         quads[60, 1] = quads[61, 0] = 0
         e.nodes[:] = quads
@@ -101,7 +125,7 @@ def broken_row(name):
 )
 def test_only_equal_elements_with_nodes_in_a_row_make_one(name):
     x, e, middle = broken_row(name)
-    rows, scattered = uncut_lists(e, x)
+    rows, scattered = uncut_lists(shared_kinds(e, x))
     assert rows.length.sum() + len(scattered.nodes) == 120 and rows.length.max(initial=0) <= 40
     assert not (40 in rows.length and len(rows.length) == 3)
     u = waves(x, 1e-3)
@@ -115,7 +139,7 @@ def test_only_equal_elements_with_nodes_in_a_row_make_one(name):
 def test_forces_are_the_same_to_the_bit_at_any_number_of_threads(crooked):
     x, quads = grid(64, 160, crooked)
     e = one_point_elements(quads, x[quads], LAME, SHEAR, RHO)
-    lists, u = uncut_lists(e, x), waves(0.01 * x, 0.1)
+    lists, u = uncut_lists(shared_kinds(e, x)), waves(0.01 * x, 0.1)
     assert len(lists[0].strip) == 6 and len(lists[0].low) == (0 if crooked else 160)
     serial = forces(lists, u)
     before = numba.get_num_threads()
@@ -160,7 +184,7 @@ def test_strips_share_nodes_with_their_neighbours_only(monkeypatch):
     monkeypatch.setattr(layouts, "STRIP_ELEMENTS", 16)
     for columns, rows, most in ((10, 200, 64), (1000, 3, 3), (3, 400, 64)):
         x, quads, e = uniform(columns, rows)
-        lists = uncut_lists(e, x)
+        lists = uncut_lists(shared_kinds(e, x))
         bounds = np.cumsum([0, *(lists[0].length)])[lists[0].strip] if len(lists[0].low) else lists[1].strip
         assert len(bounds) - 1 <= most and bounds[0] == 0 and bounds[-1] == len(quads)
         seen = [set(quads[a:b].ravel().tolist()) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
@@ -172,7 +196,7 @@ def test_strips_share_nodes_with_their_neighbours_only(monkeypatch):
 def test_unsound_elements_are_counted():
     """One turned inside out, one that is not a number; in a row and alone."""
     x, quads, e = uniform(12, 2)
-    for lists in (uncut_lists(e, x), scattered_lists(e)):
+    for lists in (uncut_lists(shared_kinds(e, x)), scattered_lists(e)):
         u = np.zeros(x.shape, order="F")
         force = np.zeros_like(u)
         u[0] = [0.03, 0.03]
@@ -183,5 +207,5 @@ def test_unsound_elements_are_counted():
 
 def test_no_elements():
     x, _, e = uniform(5, 1)
-    none = type(e)._make(field[:0] for field in e)
-    assert not forces(uncut_lists(none, x), np.zeros_like(x)).any()
+    none = e.some(slice(0))
+    assert not forces(uncut_lists(shared_kinds(none, x)), np.zeros_like(x)).any()

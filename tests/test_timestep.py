@@ -323,7 +323,7 @@ def test_cut_elements_are_numbered_behind_the_uncut_ones():
     """A whole cell by three-point triangles has stiffer bending modes than the one-point element."""
     model = stacked(0.0, 1)
     estimate = stable_step(model)
-    assert estimate.element >= len(model.elements.volume)
+    assert estimate.element >= len(model.elements.kind)
 
 
 def test_a_thin_lone_fragment_keeps_a_step_of_half_a_cell():

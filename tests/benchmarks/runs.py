@@ -15,7 +15,7 @@ from phantomnode.pipeline.case import load_case
 from phantomnode.pipeline.preflight import steps_of
 from phantomnode.pipeline.prepare import Prepared, prepare
 from phantomnode.solver.explicit import Frame, frames
-from phantomnode.solver.model import Contact, Model, State
+from phantomnode.solver.model import NO_POINTS, Contact, Model, State
 
 from .measure import Figure, Plan, Process, alternating, duration, medians, python
 from .stepping import from_state
@@ -118,14 +118,8 @@ def instants(prepared: Prepared) -> list[Frame]:
 def thinned(model: Model) -> tuple[Model, Model, Model, Model]:
     """A model; without contact; without cut elements, too; without any element."""
     apart = model._replace(contact=without_points(model.contact))
-    uncut = apart._replace(cut_elements=emptied(model.cut_elements))
-    return model, apart, uncut, uncut._replace(elements=emptied(model.elements))
-
-
-def emptied(elements: Any) -> Any:
-    """An element list without elements."""
-    rows = {"first": 1}
-    return type(elements)(**{name: getattr(elements, name)[: rows.get(name, 0)] for name in elements._fields})
+    uncut = apart._replace(cut_elements=NO_POINTS)
+    return model, apart, uncut, uncut._replace(elements=model.elements.some(slice(0)))
 
 
 def without_points(contact: Contact) -> Contact:
