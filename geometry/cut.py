@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from phantomnode.geometry.arrangement import Arrangement, components
 from phantomnode.geometry.chains import Chains, barrier_chains, in_cells
 from phantomnode.geometry.curves import Curve, Region
-from phantomnode.geometry.grid import BackgroundGrid
+from phantomnode.geometry.grid import BackgroundGrid, Numbers
 from phantomnode.geometry.inside import PlainCells, cell_of_faces, check_cover, inside_of
 from phantomnode.geometry.near import Part, near_part
 from phantomnode.geometry.noding import Lattice, Pieces, cross, node_segments
@@ -42,7 +42,7 @@ class Fragments:
         Of the part.
     arrangement : Arrangement
         Of the cells that barriers pass through ("the band") with the barriers.
-    cell : (m,) int64
+    cell : (m,) int32
         The cell of each fragment in the whole grid; ascending.
     whole : (m,) bool
         Whether the fragment is all of its cell.
@@ -72,7 +72,7 @@ class Fragments:
     nodes: Ints
     edges: CellEdges
     arrangement: Arrangement
-    cell: Ints
+    cell: NDArray[np.int32]
     whole: Bools
     region: NDArray[np.int32]
     of_face: Ints
@@ -165,7 +165,7 @@ def cut(
     )
 
 
-def _noded(nodes: Ints, quads: Ints, edges: CellEdges, band: Bools, chains: Chains) -> tuple[Pieces, Ints]:
+def _noded(nodes: Ints, quads: Numbers, edges: CellEdges, band: Bools, chains: Chains) -> tuple[Pieces, Ints]:
     """Node the edges of the band with the chains; the grid edges among the sources come first.
 
     A closed chain inside one cell touches no edge: a bridge, which is no barrier, ties it to a corner of its
@@ -182,7 +182,7 @@ def _noded(nodes: Ints, quads: Ints, edges: CellEdges, band: Bools, chains: Chai
     return pieces, used
 
 
-def _bridges(pieces: Pieces, grid_edges: int, nodes: Ints, quads: Ints, band: Bools) -> Ints:
+def _bridges(pieces: Pieces, grid_edges: int, nodes: Ints, quads: Numbers, band: Bools) -> Ints:
     """(k, 2, 2) Ties from each island of barriers to a corner of the cell around it."""
     count, label = components(len(pieces.vertices), pieces.ends[:, 0], pieces.ends[:, 1])
     tied = np.zeros(count, dtype=bool)
@@ -232,7 +232,7 @@ def _fragments(
     number = np.empty(len(roots), dtype=np.int64)
     number[order] = place = np.arange(len(roots)) + np.searchsorted(cells, banded)
     m = len(roots) + len(cells)
-    cell, whole, region = np.empty(m, np.int64), np.ones(m, dtype=bool), np.full(m, -1, np.int32)
+    cell, whole, region = np.empty(m, np.int32), np.ones(m, dtype=bool), np.full(m, -1, np.int32)
     away = np.ones(m, dtype=bool)
     away[place] = False
     cell[place], cell[away] = banded, cells

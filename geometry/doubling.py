@@ -12,7 +12,7 @@ from phantomnode.geometry.arrangement import components
 from phantomnode.geometry.bilinear import to_local
 from phantomnode.geometry.cut import Fragments
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.grid import BackgroundGrid, chunks
+from phantomnode.geometry.grid import BackgroundGrid, Numbers, chunks
 from phantomnode.geometry.triangles import triangles_of_faces
 
 Floats = NDArray[np.float64]
@@ -61,13 +61,13 @@ class CutMesh:
     ----------
     xy : (n, 2) float64, metres
         Position of each node; copies of one grid node stand on the same place.
-    grid_node : (n,) int64
+    grid_node : (n,) int32
         The grid node of which each node is a copy.
     real : (n,) bool
         Whether the node stands in the material of one of its elements; the others are phantom nodes.
-    elements : (m, 4) int64
+    elements : (m, 4) int32
         Nodes of each element, counter-clockwise.
-    cell : (m,) int64
+    cell : (m,) int32
         The grid cell of each element.
     area : (m,) float64, m^2
         Area of the material part of each element.
@@ -75,7 +75,7 @@ class CutMesh:
         The same over the area of its cell.
     cut : (m,) bool
         Whether the material is a part of the cell only.
-    component : (m,) int64
+    component : (m,) int32
         Number of the connected part of the body that the element belongs to.
     triangles : (t, 3, 2) float64, metres
         The material part of the cut elements as counter-clockwise triangles.
@@ -85,18 +85,22 @@ class CutMesh:
     """
 
     xy: Floats
-    grid_node: Ints
+    grid_node: Numbers
     real: Bools
-    elements: Ints
-    cell: Ints
+    elements: Numbers
+    cell: Numbers
     area: Floats
     fraction: Floats
     cut: Bools
-    component: Ints
+    component: Numbers
     triangles: Floats
     triangle_element: Ints
     segments: BoundarySegments
     notes: tuple[str, ...] = ()
+
+    def nodes(self, elements: Ints | Bools) -> Ints:
+        """(k, 4) int64 Nodes of some elements."""
+        return self.elements[elements].astype(np.int64)
 
 
 def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
@@ -184,7 +188,7 @@ def _in_part(fragments: Fragments) -> Bools:
 
 
 def _merged_corners(
-    fragments: Fragments, near: Ints, corners: Ints, shared: _SharedEdges
+    fragments: Fragments, near: Ints, corners: Numbers, shared: _SharedEdges
 ) -> tuple[Ints, Ints]:
     """Pairs of corner slots (4 * element + corner, elements counted among the near ones) that are one node.
 
@@ -203,7 +207,7 @@ def _merged_corners(
 
 def _numbered(
     grid: BackgroundGrid, fragments: Fragments, near: Ints, cells: Ints, shared: _SharedEdges
-) -> tuple[Ints, Ints]:
+) -> tuple[Numbers, Numbers]:
     """(m, 4) Nodes of all elements, and (n,) the grid node of each.
 
     ``near`` are the elements in the part, ``cells`` their cells there. Nodes stand in the order of the grid
@@ -219,7 +223,7 @@ def _numbered(
     roots = np.flatnonzero(representative == np.arange(slots))
     grid_of_root = fragments.part.nodes[corners.reshape(-1)[roots]]
 
-    elements = np.empty((len(fragments.cell), 4), dtype=np.int64)
+    elements = np.empty((len(fragments.cell), 4), dtype=np.int32)
     copies = np.zeros(grid.node_count, dtype=np.int32)
     for rows in chunks(len(elements)):
         elements[rows] = grid.corners(fragments.cell[rows])
@@ -227,7 +231,7 @@ def _numbered(
     copies[fragments.part.nodes] = 0
     np.add.at(copies, grid_of_root, np.int32(1))
     used = np.flatnonzero(copies)
-    grid_node = np.repeat(used, copies[used])
+    grid_node = np.repeat(used.astype(np.int32), copies[used])
     number = np.cumsum(copies, dtype=np.int32)
     number -= copies
     for rows in chunks(len(elements)):
@@ -249,16 +253,17 @@ def _components(fragments: Fragments, near: Ints, shared: _SharedEdges) -> Ints:
     first = np.concatenate([np.searchsorted(near, shared.left), plain])
     second = np.concatenate([np.searchsorted(near, shared.right), len(near) + fragments.region[near[plain]]])
     count, group = components(len(near) + regions, first, second)
-    component = group[len(near) :][fragments.region] if regions else np.zeros(len(fragments.cell), np.int64)
+    group = group.astype(np.int32)
+    component = group[len(near) :][fragments.region] if regions else np.zeros(len(fragments.cell), np.int32)
     component[near] = group[: len(near)]
     lowest = np.full(count, len(component))
     lowest[component[::-1]] = np.arange(len(component))[::-1]  # what is written last stays
-    rank = np.empty(count, dtype=np.int64)
+    rank = np.empty(count, dtype=np.int32)
     rank[np.argsort(lowest, kind="stable")] = np.arange(count)
     return np.asarray(rank[component])
 
 
-def _real(fragments: Fragments, elements: Ints, nodes: int) -> Bools:
+def _real(fragments: Fragments, elements: Numbers, nodes: int) -> Bools:
     """(nodes,) Whether a node stands in (or on the rim of) the material of one of its elements."""
     real = np.zeros(nodes, dtype=bool)
     for rows in chunks(len(elements)):
@@ -298,7 +303,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _boundary_segments(fragments: Fragments, xy: Floats, elements: Ints) -> BoundarySegments:
+def _boundary_segments(fragments: Fragments, xy: Floats, elements: Numbers) -> BoundarySegments:
     """One segment for each side of a barrier that carries material, unless it is a slit in one fragment."""
     arrangement = fragments.arrangement
     left, right = fragments.beside(True), fragments.beside(False)
@@ -338,7 +343,7 @@ def _following(fragments: Fragments, emitted: Bools, half: Ints) -> Ints:
     return np.where(emitted[candidate], number[candidate], -1)
 
 
-def _resolution_notes(fragments: Fragments, elements: Ints) -> tuple[str, ...]:
+def _resolution_notes(fragments: Fragments, elements: Numbers) -> tuple[str, ...]:
     """Warn of what the grid is too coarse for: ligaments and cracks within one cell."""
     notes = []
     same_cell = np.flatnonzero(fragments.cell[1:] == fragments.cell[:-1])

@@ -15,12 +15,14 @@ from phantomnode.geometry.errors import GeometryError
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+Numbers = NDArray[np.int32] | NDArray[np.int64]
+"""Numbers of nodes and cells, of which there may be millions."""
 Pair = tuple[float, float]
 
 MOST_CELLS = 50_000_000
 """More cells than this are a slip of the pen (a cell size in the wrong unit), not a model."""
 
-CHUNK = 1 << 16
+CHUNK = 1 << 14
 """Rows of a long array that are worked on at a time, so that intermediate arrays stay small."""
 
 NO_NODES, NOWHERE = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
@@ -40,7 +42,7 @@ class BackgroundGrid:
     ----------
     xy : (n, 2) float64, metres
         Node positions.
-    quads : (m, 4) int64
+    quads : (m, 4) int32 or int64
         Nodes of each cell, counter-clockwise.
     shape : (int, int) or None
         Cells in the first and the second direction where the grid is structured (cell number =
@@ -48,7 +50,7 @@ class BackgroundGrid:
     """
 
     xy: Floats
-    quads: Ints
+    quads: Numbers
     shape: tuple[int, int] | None = None
 
     @property
@@ -66,13 +68,13 @@ class BackgroundGrid:
         """Whether the last row of cells of a structured grid joins the first (a full ring)."""
         return self.shape is not None and self.node_count == (self.shape[0] + 1) * self.shape[1]
 
-    def position(self, nodes: Ints) -> Floats:
+    def position(self, nodes: Numbers) -> Floats:
         """(k, 2) Positions of some nodes, metres."""
         return np.asarray(self.xy[nodes])
 
-    def corners(self, cells: Ints) -> Ints:
+    def corners(self, cells: Numbers) -> Numbers:
         """(k, 4) Nodes of some cells, counter-clockwise."""
-        return np.asarray(self.quads[cells])
+        return self.quads[cells]
 
     @cached_property
     def box(self) -> Floats:
@@ -114,7 +116,7 @@ class BackgroundGrid:
         """(e, 2) Every cell edge once, lower node number first, sorted."""
         ends = np.stack([self.quads, np.roll(self.quads, -1, axis=1)], axis=-1).reshape(-1, 2)
         # One number an edge sorts faster than a row of two.
-        code = np.unique(ends.min(axis=1) * len(self.xy) + ends.max(axis=1))
+        code = np.unique(ends.min(axis=1) * np.int64(len(self.xy)) + ends.max(axis=1))
         return np.column_stack(np.divmod(code, len(self.xy)))
 
     @cached_property
@@ -176,11 +178,11 @@ class RectangularGrid(BackgroundGrid):
         return self.position(np.arange(self.node_count))
 
     @cached_property
-    def quads(self) -> Ints:  # type: ignore[override]
+    def quads(self) -> Numbers:  # type: ignore[override]
         """(m, 4) Nodes of all cells."""
         return self.corners(np.arange(self.cell_count))
 
-    def position(self, nodes: Ints) -> Floats:
+    def position(self, nodes: Numbers) -> Floats:
         """(k, 2) Positions of some nodes, metres."""
         j, i = np.divmod(nodes, len(self.lines[0]))
         xy = np.stack([self.lines[0][i], self.lines[1][j]], axis=-1)
@@ -191,11 +193,11 @@ class RectangularGrid(BackgroundGrid):
             xy[there] = positions[place[there]]
         return xy
 
-    def corners(self, cells: Ints) -> Ints:
+    def corners(self, cells: Numbers) -> Numbers:
         """(k, 4) Nodes of some cells, counter-clockwise."""
         columns = len(self.lines[0])
         first = cells + cells // (columns - 1)
-        return np.asarray(first[..., None] + np.array([0, 1, columns + 1, columns]))
+        return np.asarray(first[..., None] + np.array([0, 1, columns + 1, columns], dtype=first.dtype))
 
     def moved(self, nodes: Ints, positions: Floats) -> RectangularGrid:
         """The grid with some nodes (k,), ascending, at other positions (k, 2), metres."""
@@ -364,7 +366,7 @@ def _ascending(*lines: Floats) -> bool:
     return all(bool(np.isfinite(line).all() and (np.diff(line) > 0.0).all()) for line in lines)
 
 
-def scaled_jacobians(xy: Floats, quads: Ints) -> Floats:
+def scaled_jacobians(xy: Floats, quads: Numbers) -> Floats:
     """(m, 4) Sine of the angle at each corner of the cells: 1 for a rectangle, <= 0 where it is inverted."""
     corners = xy[quads]
     onward = np.roll(corners, -1, axis=1) - corners

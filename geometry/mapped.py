@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.errors import GeometryError
-from phantomnode.geometry.grid import BackgroundGrid, check, require_finite, whole_counts
+from phantomnode.geometry.grid import BackgroundGrid, Numbers, check, require_finite, whole_counts
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -87,13 +87,20 @@ def mapped(bottom: Curve, right: Curve, top: Curve, left: Curve, counts: tuple[i
     return check(BackgroundGrid(xy.reshape(-1, 2), _structured_quads(n_u, n_v), (n_u, n_v)))
 
 
-def _structured_quads(n_i: int, n_j: int, closed: bool = False) -> Ints:
+def _structured_quads(n_i: int, n_j: int, closed: bool = False) -> Numbers:
     """(n_i * n_j, 4) Cells of a structured grid, the first direction running fastest."""
-    j, i = (index.ravel() for index in np.mgrid[:n_j, :n_i])
-    row, above = j * (n_i + 1), (j + 1) * (n_i + 1)
+    i, row = np.arange(n_i, dtype=np.int32), np.arange(n_j, dtype=np.int32)[:, None] * np.int32(n_i + 1)
+    above = row + np.int32(n_i + 1)
     if closed:
-        above %= n_j * (n_i + 1)
-    return np.column_stack([row + i, row + i + 1, above + i + 1, above + i]).astype(np.int64)
+        above %= np.int32(n_j * (n_i + 1))
+    quads = np.empty((n_j, n_i, 4), dtype=np.int32)
+    quads[..., 0], quads[..., 1], quads[..., 2], quads[..., 3] = (
+        row + i,
+        row + i + 1,
+        above + i + 1,
+        above + i,
+    )
+    return quads.reshape(-1, 4)
 
 
 def _joined(*curves: Curve) -> tuple[Curve, Curve, Curve, Curve]:

@@ -38,7 +38,8 @@ class CellEdges:
     @classmethod
     def of(cls, grid: BackgroundGrid) -> CellEdges:
         """Find the edges of a grid; more than two cells at an edge, or cells that overlap, are refused."""
-        directed = np.stack([grid.quads, np.roll(grid.quads, -1, axis=1)], axis=-1).reshape(-1, 2)
+        quads = grid.quads.astype(np.int64)
+        directed = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)
         forward = directed[:, 0] < directed[:, 1]
         # One number an edge sorts faster than a row of two.
         code, edge = np.unique(

@@ -66,7 +66,7 @@ class Conditions:
 
     Attributes
     ----------
-    channel : (n, 2) int64
+    channel : (n, 2) int32
         Which prescribed motion holds each degree of freedom of the model, -1 where none does.
     channels, functions : list
         The prescribed motions, and the functions of time of the load rows.
@@ -75,7 +75,7 @@ class Conditions:
         Loads and supports of each boundary.
     """
 
-    channel: Ints
+    channel: NDArray[np.int32]
     channels: list[Channel] = field(default_factory=list)
     functions: list[TimeFunction] = field(default_factory=list)
     boundaries: list[Boundary] = field(default_factory=list)
@@ -132,7 +132,7 @@ def conditions(
         With the key of the boundary at fault.
     """
     count = rigids[-1].nodes.stop if rigids else len(mass)
-    made = Conditions(np.full((count, 2), -1, dtype=np.int64))
+    made = Conditions(np.full((count, 2), -1, dtype=np.int32))
     for name, table in case.boundary.items():
         if table.traction is not None or table.pressure is not None:
             _add_load(made, case, name, table, cut, nodes)

@@ -11,6 +11,7 @@ import shapely
 from numpy.typing import NDArray
 
 from phantomnode.geometry.curves import Curve
+from phantomnode.geometry.grid import Numbers
 from phantomnode.pipeline.drawing import (
     BODY_COLOURS,
     CUT,
@@ -239,7 +240,7 @@ def _draw_close(axes: Axes, prepared: Prepared, spot: Spot, title: str) -> None:
     axes.set_title(title, fontsize=9)
 
 
-def _near(xy: Floats, elements: NDArray[np.int64], box: Floats) -> NDArray[np.bool_]:
+def _near(xy: Floats, elements: Numbers, box: Floats) -> NDArray[np.bool_]:
     """(m,) Elements that reach into a box."""
     inside = np.column_stack([(xy >= box[0]), (xy <= box[1])])
     corners = inside[elements]  # (m, 4 nodes, 4 sides): a corner within each side is enough

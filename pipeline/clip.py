@@ -110,7 +110,7 @@ def _triangle_corners(bodies: tuple[Body, ...]) -> tuple[Ints, Floats, Floats]:
     nodes, weights, places = [], [], []
     for body in bodies:
         mesh = body.mesh
-        parent = np.repeat(mesh.elements[mesh.triangle_element], 3, axis=0)
+        parent = np.repeat(mesh.nodes(mesh.triangle_element), 3, axis=0)
         corners = mesh.xy[parent]
         shapes = shape(to_local(corners, mesh.triangles.reshape(-1, 2)))
         shapes[np.abs(shapes) < ON_THE_EDGE] = 0.0
@@ -144,6 +144,6 @@ def _labels(bodies: tuple[Body, ...]) -> tuple[Ints, Ints, Floats]:
         return np.concatenate(values)
 
     body = column([np.full(len(elements), k) for k, _, elements in rows]).astype(np.int64)
-    side = column([mesh.component[elements] for _, mesh, elements in rows]).astype(np.int64)
+    side = column([mesh.component[elements].astype(np.int64) for _, mesh, elements in rows]).astype(np.int64)
     fraction = column([mesh.fraction[elements] for _, mesh, elements in rows]).astype(np.float64)
     return body, side, fraction

@@ -55,9 +55,14 @@ def hourglass_control(case: Case) -> tuple[float, float]:
     return case.hourglass, 0.0
 
 
+def weight(mass: Floats, gravity: Floats) -> Floats:
+    """(n, 2) Forces of constant gravity (2,), m/s^2, on (n,) masses, kg/m, by columns; empty without gravity, N/m."""
+    return np.asfortranarray(mass[:, None] * gravity) if np.any(gravity) else np.zeros((0, 2))
+
+
 class ElementLists(NamedTuple):
     """The elements of all bodies: x (n, 2), m; mass (n,) true lumped mass, kg/m; load (n, 2) by constant
-    gravity, N/m; the lists of the model.
+    gravity, N/m, empty where there is none; the lists of the model.
     """
 
     x: Floats
@@ -82,7 +87,7 @@ def element_lists(case: Case, bodies: Sequence[Body]) -> ElementLists:
     mass = lumped_mass(len(x), elements, cut)
     cut = stiffened(case, meshes, cut)
     full = full_elements(elements, x) if case.integration.uncut == "full" else NO_POINTS
-    load = mass[:, None] * constant_gravity(case)
+    load = weight(mass, constant_gravity(case))
     return ElementLists(x, mass, load, elements, cut, full, damping_of(case, meshes, elements, full, cut))
 
 
@@ -95,7 +100,7 @@ def uncut_elements(mesh: CutMesh, first_node: int, material: Material, kappa: fl
         np.empty((m, 4), np.uint32), np.arange(m, dtype=np.uint32), np.empty((10, m)), np.empty(m)
     )
     for rows in chunks(m):  # what is worked out on the way would take twice the room of the result
-        nodes = mesh.elements[numbers[rows]]
+        nodes = mesh.nodes(numbers[rows])
         some = one_point_elements(nodes + first_node, mesh.xy[nodes], lame, shear, material.rho, kappa)
         whole.nodes[rows], whole.constants[:, rows], whole.mass[rows] = some.nodes, some.constants, some.mass
     return whole
@@ -139,7 +144,7 @@ def cut_elements(mesh: CutMesh, first_node: int, material: Material, points_per_
     lame, shear = lame_constants(material)
     gradient = gradients(corners, to_local(corners, points))
     return fragment_elements(
-        mesh.elements[elements] + first_node,
+        mesh.nodes(elements) + first_node,
         np.concatenate([[0], np.cumsum(count * per_element)]),
         gradient
         + _mended(mesh, elements, gradient, weight)[np.repeat(np.arange(len(elements)), count * per_element)],

@@ -140,14 +140,14 @@ def slave_side(
     at, share = point_rule(points)
     parents, ends = segments.element[chosen], segments.ends[chosen]
     places = (1.0 - at)[:, None] * ends[:, None, 0] + at[:, None] * ends[:, None, 1]
-    owners = np.repeat(mesh.elements[parents], points.count, axis=0)
+    owners = np.repeat(mesh.nodes(parents), points.count, axis=0)
     point_shape = shape(to_local(mesh.xy[owners], places.reshape(-1, 2))).reshape(-1, points.count, 4)
     point_shape = balanced(point_shape, mesh.xy[mesh.elements[parents]], ends, at, share)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     curve, along, whole = distance_along(segments)
     start = along[chosen]
     return SlaveSide(
-        nodes=mesh.elements[parents] + first_node,
+        nodes=mesh.nodes(parents) + first_node,
         start=shape(segments.local[chosen, 0]),
         end=shape(segments.local[chosen, 1]),
         points=owners + first_node,
@@ -184,7 +184,7 @@ def jump_between(mesh: CutMesh, chosen: Ints, across: Ints, point_shape: Floats)
     number = {tuple(ends.ravel().tolist()): k for k, ends in zip(across, segments.ends[across], strict=True)}
     turned = segments.ends[chosen][:, ::-1].reshape(-1, 4).tolist()
     other = np.array([number.get(tuple(ends), -1) for ends in turned], dtype=np.int64)
-    mine, theirs = (mesh.elements[segments.element[faces]] for faces in (chosen, other))
+    mine, theirs = (mesh.nodes(segments.element[faces]) for faces in (chosen, other))
     joined = np.any(mine[:, :, None] == theirs[:, None, :], axis=2) & (other >= 0)[:, None]
     jump = 1.0 - np.einsum("sni,si->sn", point_shape, joined)
     return np.where(jump < LEAST_JUMP, LEAST_JUMP, jump)
@@ -205,7 +205,7 @@ def master_side(closed: Ints, body: CutBody, first_node: int, points: SlavePoint
     length = np.hypot(*(segments.ends[owner, 1] - segments.ends[owner, 0]).T)
     start, end = along[owner] + length * pieces.part.T
     return MasterSide(
-        nodes=mesh.elements[segments.element[owner]] + first_node,
+        nodes=mesh.nodes(segments.element[owner]) + first_node,
         start=pieces.start,
         end=pieces.end,
         previous=previous_of(pieces.following),

@@ -83,8 +83,6 @@ class Prepared:
     pairs : tuple of Pair
     boundaries : tuple of Boundary
     model : Model
-    velocity : (n, 2) float64, m/s
-        Initial velocity of every node.
     motion : PrescribedMotion
     estimate : StepEstimate
         The stable time step and what limits it.
@@ -103,13 +101,20 @@ class Prepared:
     pairs: tuple[Pair, ...]
     boundaries: tuple[Boundary, ...]
     model: Model
-    velocity: Floats
     motion: PrescribedMotion
     estimate: StepEstimate
     dt: float
     warnings: tuple[str, ...]
     xfem: MassMatrix | None = None
     rigids: tuple[Rigid, ...] = ()
+
+    @property
+    def velocity(self) -> Floats:
+        """(n, 2) Initial velocity of every node, m/s: an array of its own, by columns as the state has it."""
+        velocity = np.zeros(self.model.x.shape, order="F")
+        for body in self.bodies:
+            velocity[body.nodes] = self.case.body[body.name].initial_velocity
+        return velocity
 
     @cached_property
     def monitor(self) -> StepMonitor:
@@ -157,16 +162,11 @@ def prepare(case: Case) -> Prepared:
     if case.method == "xfem":
         model, estimate, xfem = classic_xfem(case, bodies, model)
     dt = run_step(case, estimate)
-    velocity = np.zeros_like(model.x)
-    for body in bodies:
-        velocity[body.nodes] = case.body[body.name].initial_velocity
     notes = (note for body in cut.values() for note in body.notes)
     warnings = (*notes, *thin, *unpaired(case, cut), *heavy_bodies(bodies, model))
     pairs = reported_pairs(case, cut, passes)
     boundaries, motion = tuple(held.boundaries), held.motion
-    return Prepared(
-        case, bodies, pairs, boundaries, model, velocity, motion, estimate, dt, warnings, xfem, rigids
-    )
+    return Prepared(case, bodies, pairs, boundaries, model, motion, estimate, dt, warnings, xfem, rigids)
 
 
 def _cut(case: Case, name: str, drawings: Drawings) -> CutBody:
@@ -208,8 +208,9 @@ def _model(
     """The arrays of all bodies behind each other, with a quarter of each element's mass on its nodes."""
     x, load = lists.x, lists.load
     if rigids:
-        obstacles = [rigid.xy for rigid in rigids]
-        x, load = np.vstack([x, *obstacles]), np.vstack([load, *(np.zeros_like(xy) for xy in obstacles)])
+        x = np.vstack([x, *(rigid.xy for rigid in rigids)])
+        if len(load):
+            load = np.asfortranarray(np.vstack([load, np.zeros((len(x) - len(load), 2))]))
     return Model(
         x=x,
         mass=lumped_mass(len(x), lists.elements, lists.cut_elements),

@@ -39,7 +39,7 @@ def surface_points(body: CutBody, chosen: Ints) -> SurfacePoints:
     """
     mesh = body.mesh
     ends, local = mesh.segments.ends[chosen], mesh.segments.local[chosen]
-    nodes = mesh.elements[mesh.segments.element[chosen]]
+    nodes = mesh.nodes(mesh.segments.element[chosen])
     start, end = shape(local[:, 0]), shape(local[:, 1])
     middle = shape(to_local(mesh.xy[nodes], ends.mean(axis=1)))
     s = GAUSS[:, None]

@@ -150,7 +150,7 @@ def nodes_on_edges(body: CutBody, chosen: Ints, key: str, place: str) -> Ints:
             "(aligned = true, or a polar or mapped grid)"
         )
     found = [
-        mesh.elements[mesh.segments.element[chosen[on]]][:, CORNERS_ON_EDGE[edge]]
+        mesh.nodes(mesh.segments.element[chosen[on]])[:, CORNERS_ON_EDGE[edge]]
         for edge, on in _on_edges(body, chosen).items()
     ]
     return np.unique(np.concatenate([nodes.reshape(-1) for nodes in found]))

@@ -159,7 +159,9 @@ class Tally:
         model = self._prepared.model
         mass = model.mass[body.nodes]
         start, end = mass @ self.first.v[body.nodes], mass @ self.last.v[body.nodes]
-        impulse = model.load[body.nodes].sum(axis=0) * (self.last.time - self.first.time)
+        impulse = np.zeros(2)
+        if len(model.load):
+            impulse = model.load[body.nodes].sum(axis=0) * (self.last.time - self.first.time)
         for k in range(len(self._prepared.pairs)):
             slave, master = pair_bodies(self._prepared, k)
             during = self.last.pair_impulse[k] - self.first.pair_impulse[k]

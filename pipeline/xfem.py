@@ -13,6 +13,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, splu
 from phantomnode.geometry.bilinear import local_gradients, shape, to_local
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.pipeline.boundaries import constant_gravity
+from phantomnode.pipeline.elements import weight
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.solver.cut_elements import add_cut_forces
 from phantomnode.solver.model import Model
@@ -48,12 +49,12 @@ class MassMatrix:
     Attributes
     ----------
     matrix : (n, n) csc_array, kg/m
-    channel : (n, 2) int64
+    channel : (n, 2) int32
         Negative where a degree of freedom is free.
     """
 
     matrix: csc_array
-    channel: Ints
+    channel: NDArray[np.int32]
     _free: list[Ints] = field(init=False, repr=False)
     _factors: list[Any] = field(init=False, repr=False)
 
@@ -93,8 +94,9 @@ def classic_xfem(
         )
     mass = xfem_mass(case.xfem, bodies, model)
     nodal = mass.momentum(np.ones((len(model.x), 2)))[:, 0]
-    gravity = (nodal - model.mass)[:, None] * constant_gravity(case)
-    model = model._replace(mass=nodal, load=model.load + gravity)
+    if len(model.load):
+        model = model._replace(load=weight(nodal, constant_gravity(case)))
+    model = model._replace(mass=nodal)
     return model, stable_xfem_step(model, mass, case.time.safety), mass
 
 

@@ -131,7 +131,13 @@ def add_viscous_forces(
 
 @kernel
 def damp(
-    alpha: float, mass: Floats, channel: Ints, state: State, kick: float, dt: float, increment: Floats
+    alpha: float,
+    mass: Floats,
+    channel: NDArray[np.int32],
+    state: State,
+    kick: float,
+    dt: float,
+    increment: Floats,
 ) -> None:
     """Add the mass damping of the coming kick to the forces; book the energy that damping takes.
 

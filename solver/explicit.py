@@ -121,10 +121,15 @@ def energies(model: Model, state: State, dt: float) -> Energies:
         contact=contact_energy(model.contact, state.gap)
         + float(state.stick[0])
         + support_energy(model.supports, state.held, state.u),
-        external_work=float(state.external[0]) + last_half_step + float(np.sum(model.load * state.u)),
+        external_work=float(state.external[0]) + last_half_step + load_work(model, state.u),
         friction=_rubbed(state, v, half),
         damping=dissipated(model, state, v, half),
     )
+
+
+def load_work(model: Model, u: Floats) -> float:
+    """Work of the constant loads, J/m."""
+    return float(np.sum(model.load * u)) if len(model.load) else 0.0
 
 
 def _rubbed(state: State, v: Floats, half: float) -> float:
@@ -265,7 +270,8 @@ def frames(
     if layout.threads is not None:
         set_num_threads(layout.threads)
     if resume is None:
-        start = np.array(velocity, dtype=np.float64)
+        start = np.array(velocity, dtype=np.float64, order="F")
+        del velocity
         held = model.channel >= 0
         start[held] = (motion.increments(0, 1, dt)[0] / dt)[model.channel[held]]
         state = initial_state(model, start, layout, motion.values(0, 1, dt)[0] if model.loads.rows else None)

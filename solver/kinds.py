@@ -36,6 +36,8 @@ def shared_kinds(elements: Elements, x: Floats) -> Elements:
     """
     rounding = ROUNDING * float(np.max(np.abs(x), initial=0.0))
     first, length = _rows(elements, rounding)
+    if len(first) == 0:
+        return elements
     first_constants = elements.constants[:, elements.kind[first]]
     coarse = np.max(_rounding_of(first_constants, rounding), axis=1, initial=0.0, keepdims=True)
     whole = np.round(first_constants / np.where(coarse > 0.0, coarse, 1.0))

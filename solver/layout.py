@@ -104,7 +104,6 @@ def prepare_layout(model: Model, threads: int = 1) -> Layout:
     whole = len(model.full.weight) > 0
     rows, scattered = uncut_lists(model.elements.some(slice(0)) if whole else model.elements)
     mass, held = model.mass, np.argwhere(model.channel >= 0)
-    load = model.load if np.any(model.load) else np.zeros((0, 2))
     most = min(threads, len(rows.strip) // 2)
     return Layout(
         rows=rows,
@@ -112,11 +111,11 @@ def prepare_layout(model: Model, threads: int = 1) -> Layout:
         full=point_lists(model.full),
         cut=point_lists(model.cut_elements),
         inverse_mass=np.divide(1.0, mass, out=np.zeros_like(mass), where=mass > 0.0),
-        load=np.asfortranarray(load),
+        load=model.load,
         held=Held(
             np.ascontiguousarray(held[:, 0]),
             np.ascontiguousarray(held[:, 1]),
-            model.channel[held[:, 0], held[:, 1]],
+            model.channel[held[:, 0], held[:, 1]].astype(np.int64),
         ),
         search=prepare_search(model.contact),
         threads=most if most > 1 else None,

@@ -43,7 +43,7 @@ def initial_state(model: Model, velocity: Floats, layout: Layout, value: Floats 
     ----------
     model : Model
     velocity : (n, 2) float64, m/s
-        Initial velocity of every node.
+        Initial velocity of every node. The state takes the array itself where it is stored by columns.
     layout : Layout
         From :func:`phantomnode.solver.layout.prepare_layout`.
     value : (rows,) float64 or None
@@ -65,7 +65,7 @@ def initial_state(model: Model, velocity: Floats, layout: Layout, value: Floats 
     rubbing = bool(np.any(model.contact.friction > 0.0))
     state = State(
         u=np.zeros((n, 2), order="F"),
-        v=np.array(velocity, dtype=np.float64, order="F"),
+        v=np.asfortranarray(velocity, dtype=np.float64),
         a=np.zeros((n, 2), order="F"),
         force=np.zeros((n, 2), order="F"),
         reaction=np.zeros(model.channels),
@@ -219,7 +219,7 @@ def prescribe(held: Held, before: Floats, u: Floats, v: Floats, dt: float, incre
 
 
 @kernel
-def find_accelerations(channel: Ints, inverse_mass: Floats, force: Floats, a: Floats) -> None:
+def find_accelerations(channel: NDArray[np.int32], inverse_mass: Floats, force: Floats, a: Floats) -> None:
     """Accelerations of the free degrees of freedom from the current forces, m/s^2."""
     for i in range(len(inverse_mass)):
         for d in range(2):

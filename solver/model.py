@@ -254,8 +254,9 @@ class Model(NamedTuple):
     """Everything that stays the same during a run.
 
     x (n, 2) reference positions, m; mass (n,) lumped, kg/m (0 for the nodes of rigid obstacles, which are
-    held in both directions); load (n, 2) constant nodal force (gravity), N/m;
-    channel (n, 2) row of the prescribed motion that holds each degree of freedom, -1 where it is free;
+    held in both directions); load (n, 2) constant nodal force (gravity), N/m, by columns (order "F"), empty where
+    there is none; channel (n, 2) int32, row of the prescribed motion that holds each degree of freedom, -1 where it
+    is free;
     channels: number of prescribed motions, those of supports included; elements, cut_elements, contact: the lists
     above; full: the uncut elements once more with their points of full integration, where that is asked for: it
     stands for the one point and the hourglass control of ``elements`` then; damping, loads, supports.
@@ -264,7 +265,7 @@ class Model(NamedTuple):
     x: Floats
     mass: Floats
     load: Floats
-    channel: Ints
+    channel: NDArray[np.int32]
     channels: int
     elements: Elements
     cut_elements: CutElements

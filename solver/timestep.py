@@ -58,11 +58,15 @@ def stable_step(model: Model, safety: float = 0.85, speed: float = 0.0) -> StepE
     if not np.max(stiffness2, initial=0.0) > 0.0:
         raise ValueError("the model has no element that could limit the time step")
     contact2 = contact_by_element(model)
-    steps = _step_of(stiffness2 + contact2, viscosity)
-    element = int(np.argmin(steps))
+    shortest, element = np.inf, 0
+    for start in range(0, len(viscosity), CHUNK):
+        part = slice(start, start + CHUNK)
+        steps = _step_of(stiffness2[part] + contact2[part], viscosity[part])
+        if np.min(steps) < shortest:
+            shortest, element = float(np.min(steps)), start + int(np.argmin(steps))
     frequency = np.sqrt(stiffness2[element] + contact2[element])
     return StepEstimate(
-        dt=float(safety * steps[element]),
+        dt=safety * shortest,
         element_frequency=float(np.sqrt(stiffness2[element])),
         contact_frequency=float(np.sqrt(contact2[element])),
         element=element,
@@ -89,14 +93,25 @@ def element_rates(model: Model, speed: float = 0.0) -> tuple[Floats, Floats]:
     stiffness, viscosity : (e,) float64
         Uncut elements first, then cut ones.
     """
-    uncut = cut_eigenvalues(model.full) if len(model.full.weight) else _uncut_eigenvalues(model.elements)
-    stiffness = np.concatenate([uncut, cut_eigenvalues(model.cut_elements)])
-    mass = np.concatenate([model.elements.mass, model.cut_elements.mass])
-    return stiffness, _bulk_rates(model, mass, speed) + _hourglass_rates(model, len(mass))
+    m, count = len(model.elements.mass), len(model.elements.mass) + len(model.cut_elements.mass)
+    stiffness, viscosity = np.empty(count), np.zeros(count)
+    if len(model.full.weight):
+        stiffness[:m] = cut_eigenvalues(model.full)
+    else:
+        _set_uncut_eigenvalues(model.elements, stiffness[:m])
+    stiffness[m:] = cut_eigenvalues(model.cut_elements)
+    if len(model.damping.bulk.weight):
+        mass = np.concatenate([model.elements.mass, model.cut_elements.mass])
+        viscosity += _bulk_rates(model, mass, speed)
+    if len(model.damping.hourglass):
+        viscosity[:m] += _hourglass_rates(model)
+    return stiffness, viscosity
 
 
 def contact_by_element(model: Model) -> Floats:
     """(e,) The largest of :func:`contact_rates` at the nodes of each element, uncut elements first, 1/s^2."""
+    if len(model.contact.slave_weight) == 0 and len(model.supports.stiffness) == 0:
+        return np.zeros(len(model.elements.mass) + len(model.cut_elements.mass))
     rates, largest = contact_rates(model), []
     for nodes in (model.elements.nodes, model.cut_elements.nodes):
         largest.append(rates[nodes[:, 0]])
@@ -112,8 +127,6 @@ def _bulk_rates(model: Model, mass: Floats, speed: float) -> Floats:
     velocity jump ``speed`` over L: quadratic * 2 speed/L, where quadratic/L = b2^2 rho L.
     """
     bulk = model.damping.bulk
-    if len(bulk.weight) == 0:
-        return np.zeros(len(mass))
     count = np.diff(bulk.first)
     owner = np.repeat(np.arange(len(mass)), count)
     slope = bulk.linear + 2.0 * bulk.quadratic * speed / bulk.length
@@ -131,18 +144,15 @@ def _strain_stiffness(gradient: Floats, lame: Floats, shear: Floats) -> Floats:
     return np.asarray(stiffness.reshape(p, 8, 8))
 
 
-def _hourglass_rates(model: Model, count: int) -> Floats:
-    """(count,) Eigenvalue of the hourglass viscosity of each element with its mass, 1/s; zero on cut ones."""
-    rates, viscosity, e = np.zeros(count), model.damping.hourglass, model.elements
-    if len(viscosity):
-        gamma = of_each_kind(e).gamma
-        square = np.einsum("ki,ki->k", gamma, gamma)[e.kind]
-        rates[: len(viscosity)] = viscosity * square / (0.25 * e.mass)
-    return rates
+def _hourglass_rates(model: Model) -> Floats:
+    """(m,) Eigenvalue of the hourglass viscosity of each uncut element with its mass, 1/s."""
+    e, gamma = model.elements, of_each_kind(model.elements).gamma
+    square = np.einsum("ki,ki->k", gamma, gamma)
+    return np.asarray(model.damping.hourglass * square[e.kind] / (0.25 * e.mass))
 
 
-def _uncut_eigenvalues(elements: Elements) -> Floats:
-    """(m,) Largest eigenvalue of each uncut element with its own mass, 1/s^2."""
+def _set_uncut_eigenvalues(elements: Elements, eigenvalues: Floats) -> None:
+    """Largest eigenvalue of each uncut element with its own mass, 1/s^2, from those of the kinds."""
     kinds = of_each_kind(elements)
     largest = np.zeros(len(kinds.kind))
     for start in range(0, len(largest), CHUNK):
@@ -151,7 +161,8 @@ def _uncut_eigenvalues(elements: Elements) -> Floats:
         mode = np.einsum("mi,mj,ab->miajb", e.gamma, e.gamma, np.eye(2)).reshape(-1, 8, 8)
         stiffness += e.hourglass[:, None, None] * mode
         largest[start : start + CHUNK] = np.linalg.eigvalsh(stiffness)[:, -1]
-    return np.asarray(largest[elements.kind] / (0.25 * elements.mass))
+    np.divide(largest[elements.kind], elements.mass, out=eigenvalues)
+    eigenvalues *= 4.0
 
 
 def cut_eigenvalues(cut: CutElements) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.solver.cut_elements import cut_energy
-from phantomnode.solver.explicit import Frame, Motion, broken, copied, go_on, unbalanced
+from phantomnode.solver.explicit import Frame, Motion, broken, copied, go_on, load_work, unbalanced
 from phantomnode.solver.layout import prepare_layout
 from phantomnode.solver.leapfrog import DONE, evaluate_forces, find_smallest_jacobian, initial_state
 from phantomnode.solver.model import Energies, Model, State
@@ -55,12 +55,14 @@ class Inertia(Protocol):
         """(n, 2) a such that M a = force on every free degree of freedom; the others are as prescribed."""
 
 
-def heaviside_basis(grid_node: Ints, sign: Ints, real: NDArray[np.bool_], shifted: bool) -> Basis:
+def heaviside_basis(
+    grid_node: Ints | NDArray[np.int32], sign: Ints, real: NDArray[np.bool_], shifted: bool
+) -> Basis:
     """The enrichment of a mesh whose nodes next to the interface have a copy on each side of it.
 
     Parameters
     ----------
-    grid_node : (n,) int64
+    grid_node : (n,) integers
         The grid node of which each node is a copy.
     sign : (n,) int64
         +1 or -1: the side of the interface on which each copy's values count; only read where there are two.
@@ -194,7 +196,7 @@ def _frame(
         contact=0.0,
         external_work=float(state.external[0])
         + half * 0.5 * float(np.sum(reaction * (state.v + v)))
-        + float(np.sum(model.load * state.u)),
+        + load_work(model, state.u),
     )
     stored = now.internal + now.hourglass
     total = now.kinetic + stored - now.external_work

@@ -89,15 +89,14 @@ def handmade() -> Prepared:
                 "geometry": {"rectangle": {"low": [0.0, 0.0], "high": [1.0, 1.0]}},
                 "grid": {"kind": "cartesian", "cell": 0.5},
                 "material": "soft",
+                "initial_velocity": [0.0, -2.0 if name == "block" else 0.0],
             }
             for name in ("block", "floor")
         },
     }
-    velocity = np.zeros((13, 2))
-    velocity[:9] = (0.0, -2.0)
     return Prepared(
         case_from_table(table), bodies, (pair,), (Boundary("base", (-1, 0), np.array([9, 10])),), model,
-        velocity, Still(), StepEstimate(1e-4, 1e4, 1e4, 2), 1e-4, ("a warning [with brackets]",),
+        Still(), StepEstimate(1e-4, 1e4, 1e4, 2), 1e-4, ("a warning [with brackets]",),
     )  # fmt: skip
 
 
@@ -127,7 +126,7 @@ def model_of(bodies) -> Model:
     mass = np.zeros(len(x))
     for group in (elements, cut_elements):
         np.add.at(mass, group.nodes, np.repeat(0.25 * group.mass[:, None], 4, axis=1))
-    channel = np.full((len(x), 2), -1)
+    channel = np.full((len(x), 2), -1, dtype=np.int32)
     channel[[9, 10], 1] = 0
     bottom = np.repeat(nodes[0][:2], 2, axis=0)
     edge = np.column_stack([2.0 * np.tile(GAUSS, 2) - 1.0, np.full(4, -1.0)])
@@ -136,7 +135,7 @@ def model_of(bodies) -> Model:
         np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([[0.0, 0.0, 0.0, 1.0]]), np.array([-1]), np.array([-1]),
         np.array([0, 1]), np.array([PENALTY]), np.array([0.5]), np.zeros(4),
     )  # fmt: skip
-    return Model(x, mass, np.zeros_like(x), channel, 1, elements, cut_elements, contact)
+    return Model(x, mass, np.zeros((0, 2)), channel, 1, elements, cut_elements, contact)
 
 
 @pytest.fixture

@@ -104,7 +104,7 @@ def one_square():
 @pytest.mark.twin("damping.damp")
 def test_mass_damping_agrees_with_its_numpy_twin():
     model, u, v = distorted()
-    channel = np.full(u.shape, -1)
+    channel = np.full(u.shape, -1, dtype=np.int32)
     channel[:4, 0] = 0
     model = damped(model._replace(channel=channel, channels=1), mass=700.0, linear=0.06, hourglass=0.05)
     state = initial_state(model, v, prepare_layout(model))

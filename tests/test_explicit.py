@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from phantomnode.pipeline.elements import weight
 from phantomnode.solver import explicit
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import RunStopped, frames
@@ -76,11 +77,11 @@ def model_of(x, quads, contact=None, channel=None, load=(0.0, 0.0), kappa=0.1):
     elements = one_point_elements(quads, x[quads], LAME, SHEAR, RHO, kappa)
     cut = fragment_elements(quads[:0], np.zeros(1, int), np.empty((0, 4, 2)), np.empty(0), LAME, SHEAR, RHO)
     mass = np.bincount(quads.ravel(), weights=np.repeat(0.25 * elements.mass, 4), minlength=len(x))
-    channel = np.full(x.shape, -1) if channel is None else channel
+    channel = np.asarray(np.full(x.shape, -1) if channel is None else channel, dtype=np.int32)
     if contact is None:
         contact = surface_contact(x, quads, [], [], 0.0, 1.0)
     return Model(
-        x, mass, mass[:, None] * np.array(load), channel, int(channel.max()) + 1, elements, cut, contact
+        x, mass, weight(mass, np.array(load)), channel, int(channel.max()) + 1, elements, cut, contact
     )
 
 

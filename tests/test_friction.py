@@ -7,6 +7,7 @@ import pytest
 from test_contact import NOTCH, SQUARE, point_contact, quad_contact
 from test_explicit import Motion, grid, outline
 
+from phantomnode.pipeline.elements import weight
 from phantomnode.solver.contact import add_contact_forces, contact_energy, depth_at, nearest_segment
 from phantomnode.solver.cut_elements import fragment_elements
 from phantomnode.solver.explicit import frames
@@ -250,10 +251,10 @@ def block_on_a_rigid_plane(friction, incline, length=6.0, n=8):
     lame, shear = YOUNG * NU / ((1 + NU) * (1 - 2 * NU)), YOUNG / (2 * (1 + NU))
     elements = one_point_elements(quads, x[quads], lame, shear, RHO, 0.1)
     mass = np.bincount(quads.ravel(), np.repeat(0.25 * elements.mass, 4), minlength=b + 1)
-    channel = np.full((b + 1, 2), -1)
+    channel = np.full((b + 1, 2), -1, dtype=np.int32)
     channel[[a, b]] = [0, 1]
     cut = fragment_elements(quads[:0], np.zeros(1, int), np.empty((0, 4, 2)), np.empty(0), lame, shear, RHO)
-    load = mass[:, None] * G * np.array([np.sin(incline), -np.cos(incline)])
+    load = weight(mass, G * np.array([np.sin(incline), -np.cos(incline)]))
     model = Model(np.vstack([x, plane]), mass, load, channel, 2, elements, cut, rubbing(contact, friction))
     return model, Motion(np.zeros_like, np.zeros_like)
 

@@ -128,9 +128,9 @@ def test_forces_and_accelerations_of_a_step_agree_with_numpy():
     """Two blocks that overlap: load, elements and contact add up; accelerations where free, peak of the pair."""
     rng = np.random.default_rng(9)
     model, velocity, above = two_blocks()
-    channel = np.full(velocity.shape, -1)
+    channel = np.full(velocity.shape, -1, dtype=np.int32)
     channel[:2, 1] = 0
-    load = rng.normal(size=velocity.shape)
+    load = np.asfortranarray(rng.normal(size=velocity.shape))
     model = model._replace(channel=channel, channels=1, load=load)
     layout = prepare_layout(model)
     state = initial_state(model, velocity, layout)
@@ -159,7 +159,7 @@ def test_forces_and_accelerations_of_a_step_agree_with_numpy():
 def test_a_run_agrees_with_numpy():
     """Central differences written out once more: two blocks that hit each other, one of them pushed."""
     model, v, above = two_blocks()
-    channel = np.full(v.shape, -1)
+    channel = np.full(v.shape, -1, dtype=np.int32)
     channel[:2, 1] = 0
     model = model._replace(channel=channel, channels=1)
     layout, dt, steps = prepare_layout(model), 2e-6, 12

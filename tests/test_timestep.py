@@ -46,7 +46,7 @@ def model_of(x, elements, cut, contact):
     mass = np.zeros(len(x))
     for group in (elements, cut):
         np.add.at(mass, group.nodes, 0.25 * group.mass[:, None])
-    return Model(x, mass, np.zeros_like(x), np.full(x.shape, -1), 0, elements, cut, contact)
+    return Model(x, mass, np.zeros((0, 2)), np.full(x.shape, -1, dtype=np.int32), 0, elements, cut, contact)
 
 
 def lower_fragments(quads, corners, height):
