@@ -7,6 +7,7 @@ or on the edge of an element moves with the bilinear interpolation of that eleme
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,30 +32,23 @@ class ClippedBodies:
 
     Attributes
     ----------
-    nodes : (p, 4) int64
-        Nodes of the model that carry each point.
-    weights : (p, 4) float64
+    on_nodes : (c,) int32
+        The node of the model on which each of the first points stands.
+    nodes : (r, 4) int64
+        Nodes of the model that carry each of the points between them, which follow.
+    weights : (r, 4) float64
         Their shape functions at the point; they sum to 1.
-    on_nodes : int
-        So many points, the first ones, stand on a node each: the first of their four.
-    quads : (q, 4) int64
+    quads : (q, 4) int32
         Points of each uncut element, counter-clockwise.
-    triangles : (t, 3) int64
+    triangles : (t, 3) int32
         Points of each triangle of the cut elements, counter-clockwise.
-    body, side : (q + t,) int64
-        Number of the body and of the connected part of that body.
-    fraction : (q + t,) float64
-        Material area over cell area of the element.
     """
 
+    on_nodes: NDArray[np.int32]
     nodes: Ints
     weights: Floats
-    on_nodes: int
-    quads: Ints
-    triangles: Ints
-    body: Ints
-    side: Ints
-    fraction: Floats
+    quads: NDArray[np.int32]
+    triangles: NDArray[np.int32]
 
     @classmethod
     def of(cls, prepared: Prepared) -> ClippedBodies:
@@ -64,38 +58,40 @@ class ClippedBodies:
         single = np.count_nonzero(weights, axis=1) == 1
         own = nodes[np.arange(len(nodes)), np.argmax(weights, axis=1)]  # the node on which a corner stands
 
-        used = np.unique(np.concatenate([quads.ravel(), own[single]]))
-        point_of_node = np.full(len(prepared.model.x), -1)
-        point_of_node[used] = np.arange(len(used))
+        used = np.zeros(len(prepared.model.x), dtype=bool)
+        used[quads], used[own[single]] = True, True
+        on_nodes = np.flatnonzero(used).astype(np.int32)
+        point_of_node = np.cumsum(used, dtype=np.int32) - np.int32(1)
         between, point = _merge(nodes[~single], weights[~single], place[~single])
-        corner = np.empty(len(nodes), dtype=np.int64)
+        corner = np.empty(len(nodes), dtype=np.int32)
         corner[single] = point_of_node[own[single]]
-        corner[~single] = len(used) + point
-
-        at_nodes = np.column_stack([np.ones(len(used)), np.zeros((len(used), 3))])
-        body, side, fraction = _labels(prepared.bodies)
+        corner[~single] = len(on_nodes) + point
         return cls(
-            nodes=np.vstack([np.repeat(used[:, None], 4, axis=1), nodes[~single][between]]),
-            weights=np.vstack([at_nodes, weights[~single][between]]),
-            on_nodes=len(used),
+            on_nodes=on_nodes,
+            nodes=nodes[~single][between],
+            weights=weights[~single][between],
             quads=point_of_node[quads].reshape(-1, 4),
             triangles=corner.reshape(-1, 3),
-            body=body,
-            side=side,
-            fraction=fraction,
         )
+
+    @property
+    def points(self) -> int:
+        """Number of points."""
+        return len(self.on_nodes) + len(self.nodes)
 
     def interpolate(self, nodal: Floats) -> Floats:
         """(p, k) Values at the points from (n, k) values at the nodes of the model."""
-        between = slice(self.on_nodes, None)
-        inner = np.einsum("pi,pik->pk", self.weights[between], nodal[self.nodes[between]])
-        return np.concatenate([nodal[self.nodes[: self.on_nodes, 0]], inner])
+        return np.column_stack([self.interpolated(column) for column in nodal.T])
+
+    def interpolated(self, nodal: Floats) -> Floats:
+        """(p,) The same of one component (n,)."""
+        return np.concatenate([nodal[self.on_nodes], np.sum(self.weights * nodal[self.nodes], axis=1)])
 
     def per_cell(self, uncut: Floats, points: Floats) -> Floats:
         """(q + t, ...) One value a cell from uncut elements, (q, ...), and integration points, (3 t, ...)."""
         return np.concatenate([uncut, self.means(points)])
 
-    def means(self, points: Floats) -> Floats:
+    def means(self, points: NDArray[np.floating[Any]]) -> Floats:
         """(t, ...) One value a triangle from (3 t, ...) values at its integration points.
 
         With one point a triangle there are t rows of points. A triangle takes the mean of its points, which
@@ -135,15 +131,22 @@ def _merge(nodes: Ints, weights: Floats, places: Floats) -> tuple[Ints, Ints]:
     return first, point.reshape(-1)
 
 
-def _labels(bodies: tuple[Body, ...]) -> tuple[Ints, Ints, Floats]:
-    """(q + t,) Body, connected part and material fraction of every cell drawn."""
+class Labels(NamedTuple):
+    """Of every cell drawn, (q + t,): body and side, the numbers of the body and of its connected part; fraction,
+    material area over cell area of the element.
+    """
+
+    body: Ints
+    side: Ints
+    fraction: Floats
+
+
+def cell_labels(bodies: tuple[Body, ...]) -> Labels:
+    """Body, connected part and material fraction of every cell drawn."""
     rows = [(k, body.mesh, np.flatnonzero(~body.mesh.cut)) for k, body in enumerate(bodies)]
     rows += [(k, body.mesh, body.mesh.triangle_element) for k, body in enumerate(bodies)]
-
-    def column(values: list[Ints | Floats]) -> NDArray[np.generic]:
-        return np.concatenate(values)
-
-    body = column([np.full(len(elements), k) for k, _, elements in rows]).astype(np.int64)
-    side = column([mesh.component[elements].astype(np.int64) for _, mesh, elements in rows]).astype(np.int64)
-    fraction = column([mesh.fraction[elements] for _, mesh, elements in rows]).astype(np.float64)
-    return body, side, fraction
+    return Labels(
+        body=np.concatenate([np.full(len(elements), k) for k, _, elements in rows]),
+        side=np.concatenate([mesh.component[elements].astype(np.int64) for _, mesh, elements in rows]),
+        fraction=np.concatenate([mesh.fraction[elements] for _, mesh, elements in rows]),
+    )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
-from phantomnode.pipeline.clip import ClippedBodies
+from phantomnode.pipeline.clip import ClippedBodies, cell_labels
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.observer import Ending, Sampled
 from phantomnode.pipeline.prepare import Floats, Prepared
@@ -33,6 +33,7 @@ from phantomnode.pipeline.vtu import (
     vtu_pieces,
 )
 from phantomnode.solver.contact import reference_length
+from phantomnode.solver.stress import States, cut_stress, set_element_states, von_mises
 
 if TYPE_CHECKING:
     from phantomnode.solver.explicit import Frame
@@ -42,31 +43,30 @@ STRAIGHT = 1e-4
 """Coordinates are rounded by at most this part of a cell: far less than a pixel of a picture of it."""
 
 
-class CellFields(NamedTuple):
-    """What the material of each drawn cell is in.
-
-    cauchy (m, 4) stress xx, yy, zz, xy, Pa; hencky (m, 3) strain xx, yy, xy; volume_ratio (m,) J = det F;
-    von_mises (m,) of that stress, Pa.
-    """
-
-    cauchy: Floats
-    hencky: Floats
-    volume_ratio: Floats
-    von_mises: Floats
-
-
-def cell_fields(prepared: Prepared, clipped: ClippedBodies, u: Floats) -> CellFields:
+def cell_fields(prepared: Prepared, clipped: ClippedBodies, u: Floats) -> States:
     """Stress and strain of every drawn cell from (n, 2) nodal displacements.
 
     A triangle of a cut element takes the means over its integration points; the von Mises stress is that of
     the mean stress, so that the arrays of a file agree with each other.
     """
-    from phantomnode.solver.stress import cut_stress, element_stress, von_mises
+    states = States(
+        *(
+            np.empty((len(clipped.quads) + len(clipped.triangles), *columns))
+            for columns in ((4,), (4,), (), ())
+        )
+    )
+    set_cell_fields(prepared, clipped, u, states)
+    return states
 
-    uncut = element_stress(prepared.model.elements, u)
-    points = cut_stress(prepared.model.cut_elements, u)
-    cauchy, hencky, ratio = (clipped.per_cell(a, b) for a, b in zip(uncut, points, strict=True))
-    return CellFields(cauchy, hencky, ratio, np.asarray(von_mises(cauchy)))
+
+def set_cell_fields(prepared: Prepared, clipped: ClippedBodies, u: Floats, states: States) -> None:
+    """The same, into arrays of float64 or float32 with so many rows."""
+    split = len(clipped.quads)
+    uncut, cut = (States(*(array[part] for array in states)) for part in (slice(split), slice(split, None)))
+    set_element_states(prepared.model.elements, np.asfortranarray(u), uncut)
+    means = States(*(clipped.means(values) for values in cut_stress(prepared.model.cut_elements, u)))
+    cut.cauchy[:, :4], cut.hencky[:, :4], cut.j[:] = means.cauchy, means.hencky, means.j
+    cut.mises[:] = von_mises(means.cauchy)
 
 
 def tensors(xx: Floats, yy: Floats, zz: Floats, xy: Floats) -> Floats:
@@ -101,9 +101,10 @@ class Fields(Sampled):
         super().__init__(steps)
         names = ("fields", "contact") if prepared.pairs else ("fields",)
         series = [Series(folder / f"{name}.pvd", saved and saved[name]) for name in names]
-        self._files: list[tuple[BodiesFile | ContactFile, Series]] = [(BodiesFile(prepared), series[0])]
+        self._series = series
+        self._files: list[BodiesFile | ContactFile] = [BodiesFile(prepared)]
         if prepared.pairs:
-            self._files.append((ContactFile(prepared), series[1]))
+            self._files.append(ContactFile(prepared))
         self.peak: Frame | None = None
         if saved is not None:
             self._seen = saved["seen"]
@@ -111,31 +112,32 @@ class Fields(Sampled):
 
     def take(self, frame: Frame) -> None:
         """Write one frame; remember the one with the largest internal energy for a picture."""
-        for file, series in self._files:
+        for file, series in zip(self._files, self._series, strict=True):
             series.add(frame.time, file.vtu(frame))
         if self.peak is None or frame.energies.internal > self.peak.energies.internal:
-            self.peak = frame
+            self.peak = frame_of(frame_tree(frame, resumable=False))
 
     def finish(self, ending: Ending) -> None:
         """Write the last frame where it is not there yet; then all of them are on the disk."""
         super().finish(ending)
         self.reach_disk()
+        self._files.clear()  # the pictures that follow want the memory
 
     def reach_disk(self) -> None:
         """Wait until the disk holds all frames so far."""
-        for _, series in self._files:
+        for series in self._series:
             series.reach_disk()
 
     def digests(self) -> dict[Path, str]:
         """SHA-256 of all frames so far."""
-        return {file: digest for _, series in self._files for file, digest in series.digests().items()}
+        return {file: digest for series in self._series for file, digest in series.digests().items()}
 
     def saved(self) -> Tree:
         """What the files hold so far, and the frame for the picture."""
         return {
             "seen": self._seen,
             "peak": {} if self.peak is None else frame_tree(self.peak, resumable=False),
-            **{series.path.stem: series.saved() for _, series in self._files},
+            **{series.path.stem: series.saved() for series in self._series},
         }
 
 
@@ -165,48 +167,40 @@ class BodiesFile:
         self._clipped = clipped = ClippedBodies.of(prepared)
         blocks = (VTK_QUAD, clipped.quads), (VTK_TRIANGLE, clipped.triangles)
         self._cells = cells(*blocks, encoding=encoding)
-        self._start = clipped.interpolate(prepared.model.x)
-        labels = {"body": clipped.body, "side": clipped.side, "fraction": clipped.fraction}
+        labels = cell_labels(prepared.bodies)._asdict()
         self._labels = {name: data_array(name, values, encoding) for name, values in labels.items()}
-        number, kind = len(clipped.body), np.dtype(encoding.precision)
-        self._state = {
-            "stress": np.zeros((number, 6), kind),
-            "von_mises": np.zeros(number, kind),
-            "hencky_strain": np.zeros((number, 6), kind),
-            "J": np.zeros(number, kind),
-        }
-        self._points = np.zeros((len(self._start), 3), np.dtype(self._points_as.precision))
-        self._motion = {
-            "displacement": np.zeros((len(self._start), 3), kind),
-            "velocity": np.zeros((len(self._start), 3), kind),
-        }
+        number, kind = len(clipped.quads) + len(clipped.triangles), np.dtype(encoding.precision)
+        self._state = States(
+            np.zeros((number, 6), kind),
+            np.zeros((number, 6), kind),
+            np.zeros(number, kind),
+            np.zeros(number, kind),
+        )
+        self._points = np.zeros((clipped.points, 3), np.dtype(self._points_as.precision))
+        self._motion = {name: np.zeros((clipped.points, 3), kind) for name in ("displacement", "velocity")}
 
     def vtu(self, frame: Frame) -> list[bytes]:
         """The content of one file, in pieces."""
-        u = self._clipped.interpolate(frame.u)
-        np.add(self._start, u, out=self._points[:, :2], casting="same_kind")
-        self._motion["displacement"][:, :2] = u
-        self._motion["velocity"][:, :2] = self._clipped.interpolate(frame.v)
-        motion = {name: packed_soon(name, values, self._encoding) for name, values in self._motion.items()}
-        self._set_state(frame.u)  # while the motion is packed
+        clipped, encoding = self._clipped, self._encoding
+        for axis in (0, 1):
+            self._motion["displacement"][:, axis] = clipped.interpolated(frame.u[:, axis])
+            self._motion["velocity"][:, axis] = clipped.interpolated(frame.v[:, axis])
+        motion = {name: packed_soon(name, values, encoding) for name, values in self._motion.items()}
+        x = self._prepared.model.x  # while the motion is packed
+        for axis in (0, 1):
+            self._points[:, axis] = clipped.interpolated(x[:, axis] + frame.u[:, axis])
+        set_cell_fields(self._prepared, clipped, frame.u, self._state)
+        cauchy, hencky, j, mises = self._state
+        state = {"stress": cauchy, "von_mises": mises, "hencky_strain": hencky, "J": j}
         return vtu_pieces(
-            self._points, self._cells, motion, {**self._state, **self._labels}, frame.time, self._encoding,
+            self._points,
+            self._cells,
+            motion,
+            {**state, **self._labels},
+            frame.time,
+            encoding,
             self._points_as,
-        )  # fmt: skip
-
-    def _set_state(self, u: Floats) -> None:
-        """Stress and strain of every cell from (n, 2) nodal displacements, as :func:`cell_fields` has them."""
-        from phantomnode.solver.stress import cut_stress, element_stress, von_mises
-
-        model, split = self._prepared.model, len(self._clipped.quads)
-        uncut = element_stress(model.elements, u)
-        means = (self._clipped.means(values) for values in cut_stress(model.cut_elements, u))
-        for part, (cauchy, hencky, ratio) in ((slice(split), uncut), (slice(split, None), tuple(means))):
-            self._state["stress"][part, :4] = cauchy
-            self._state["von_mises"][part] = von_mises(cauchy)
-            self._state["hencky_strain"][part, :2] = hencky[:, :2]  # plane strain: zz is zero
-            self._state["hencky_strain"][part, 3] = hencky[:, 2]
-            self._state["J"][part] = ratio
+        )
 
 
 class ContactLines(NamedTuple):

@@ -18,6 +18,7 @@ from phantomnode.pipeline.vtu_reader import Array, Grid, read_vtu
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Numbers = NDArray[np.int32] | NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -31,9 +32,9 @@ class FieldsFrame:
     time : float, s
     points : (p, 2) float64, m
         Where the points are now.
-    quads : (q, 4) int64
+    quads : (q, 4) int32 or int64
         Points of each quadrilateral, counter-clockwise.
-    triangles : (t, 3) int64
+    triangles : (t, 3) int32 or int64
         Points of each triangle, counter-clockwise.
     point_data : dict of str to (p, 3) arrays
         ``displacement``, m, and ``velocity``, m/s.
@@ -45,8 +46,8 @@ class FieldsFrame:
 
     time: float
     points: Floats
-    quads: Ints
-    triangles: Ints
+    quads: Numbers
+    triangles: Numbers
     point_data: Mapping[str, Array]
     cell_data: Mapping[str, Array]
     obstacles: Floats = field(default_factory=lambda: np.zeros((0, 2, 2)))

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Numbers = NDArray[np.int32] | NDArray[np.int64]
 
 TOUCH = 1e-6
 """Ends nearer to each other than this part of the size of all segments are one place: files hold float32."""
@@ -18,11 +19,14 @@ TOUCH = 1e-6
 ON_LINE = 1e-4
 """A point nearer to an edge than this part of its length lies on it: files hold float32."""
 
+CELLS = 1 << 16
+"""Cells whose edges are sorted at a time: what is needed in between stays small."""
+
 CANDIDATES = 4
 """Segments that are looked at where one ends: both faces of a crack, and those of a second one beside it."""
 
 
-def open_edges(rings: Sequence[Ints], points: Floats) -> Ints:
+def open_edges(rings: Sequence[Numbers], points: Floats) -> Ints:
     """(b, 2) Points of the edges that belong to one cell only: boundaries and open interfaces.
 
     Where the outline leaves a grid line, the edge of a whole cell has a shorter one of a cut cell beside it; only
@@ -30,14 +34,20 @@ def open_edges(rings: Sequence[Ints], points: Floats) -> Ints:
 
     Parameters
     ----------
-    rings : sequence of (m, k) int64
+    rings : sequence of (m, k) int32 or int64
         Points of cells of k corners, in their order around the cell.
     points : (p, 2) float64, m
         Where they are in the undeformed bodies.
     """
-    sides = [np.stack([ring, np.roll(ring, -1, axis=1)], axis=-1).reshape(-1, 2) for ring in rings]
-    edges = _single(np.concatenate(sides).astype(np.int64))
+    # Most edges belong to two cells that are not far from each other in the list.
+    parts = [ring[start : start + CELLS] for ring in rings for start in range(0, len(ring), CELLS)]
+    edges = _single(np.concatenate([np.zeros((0, 2), np.int64), *(_single(_sides(part)) for part in parts)]))
     return _single(_beyond_shorter(edges, points))
+
+
+def _sides(ring: Numbers) -> Ints:
+    """(m k, 2) Directed edges of (m, k) cells."""
+    return np.stack([ring, np.roll(ring, -1, axis=1)], axis=-1).reshape(-1, 2).astype(np.int64)
 
 
 def _single(edges: Ints) -> Ints:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.clip import ClippedBodies
+from phantomnode.pipeline.clip import ClippedBodies, cell_labels
 from phantomnode.pipeline.drawing import save
 from phantomnode.pipeline.field_pictures import draw_field
 from phantomnode.pipeline.fields import cell_fields, tensors
@@ -24,11 +24,10 @@ def preview_vtu(prepared: Prepared) -> bytes:
     """The clipped bodies in their reference position, as the content of a .vtu file."""
     clipped = ClippedBodies.of(prepared)
     grid = cells((VTK_QUAD, clipped.quads), (VTK_TRIANGLE, clipped.triangles))
+    labels = cell_labels(prepared.bodies)
     cell_data: dict[str, NDArray[np.generic]] = {
-        "body": clipped.body,
-        "side": clipped.side,
-        "fraction": clipped.fraction,
-        "cut": (np.arange(len(clipped.body)) >= len(clipped.quads)).astype(np.int32),
+        **labels._asdict(),
+        "cut": (np.arange(len(labels.body)) >= len(clipped.quads)).astype(np.int32),
     }
     return b"".join(vtu_pieces(vectors(clipped.interpolate(prepared.model.x)), grid, {}, cell_data))
 
@@ -39,9 +38,9 @@ def frame_of_state(prepared: Prepared, frame: Frame) -> FieldsFrame:
     state, u = cell_fields(prepared, clipped, frame.u), clipped.interpolate(frame.u)
     cell_data: dict[str, NDArray[np.generic]] = {
         "stress": tensors(*state.cauchy.T),
-        "von_mises": state.von_mises,
-        "J": state.volume_ratio,
-        "body": clipped.body,
+        "von_mises": state.mises,
+        "J": state.j,
+        "body": cell_labels(prepared.bodies).body,
     }
     points = clipped.interpolate(prepared.model.x) + u
     vectors_of = {"displacement": vectors(u), "velocity": vectors(clipped.interpolate(frame.v))}

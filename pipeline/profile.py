@@ -12,10 +12,11 @@ import numpy as np
 from phantomnode.pipeline.checkpoint import Tree
 from phantomnode.pipeline.clip import ClippedBodies
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.fields import CellFields, cell_fields
+from phantomnode.pipeline.fields import cell_fields
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Sampled
 from phantomnode.pipeline.prepare import Floats, Ints, Prepared
+from phantomnode.solver.stress import States
 
 if TYPE_CHECKING:
     from phantomnode.pipeline.schema import Profile
@@ -144,13 +145,14 @@ class ProfileWriter(Sampled):
         write_atomically(self._path, "\n".join(lines) + "\n")
 
 
-def quantity(state: CellFields, name: str) -> Floats:
+def quantity(state: States, name: str) -> Floats:
     """(m,) One quantity of every drawn cell."""
     if name == "von_mises":
-        return state.von_mises
+        return np.asarray(state.mises, np.float64)
     if name == "J":
-        return state.volume_ratio
-    return state.cauchy[:, ("stress_xx", "stress_yy", "stress_zz", "stress_xy").index(name)]
+        return np.asarray(state.j, np.float64)
+    column = ("stress_xx", "stress_yy", "stress_zz", "stress_xy").index(name)
+    return np.asarray(state.cauchy[:, column], np.float64)
 
 
 def draw_profiles(runs: Mapping[str, Path], out: Path) -> list[Path]:

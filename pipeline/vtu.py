@@ -27,7 +27,7 @@ from phantomnode.pipeline.checkpoint import Damaged, Tree
 from phantomnode.pipeline.files import reach_disk, sha256_of, write_atomically
 
 Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+Numbers = NDArray[np.int32] | NDArray[np.int64]
 Array = NDArray[np.generic]
 
 VTK_LINE, VTK_TRIANGLE, VTK_QUAD = 3, 5, 9
@@ -71,7 +71,7 @@ class Cells(NamedTuple):
     arrays: tuple[Encoded, ...]
 
 
-def cells(*blocks: tuple[int, Ints], encoding: Encoding = SMALL_AND_FAST) -> Cells:
+def cells(*blocks: tuple[int, Numbers], encoding: Encoding = SMALL_AND_FAST) -> Cells:
     """Cells from blocks of (VTK type, (m, k) points of each cell), in order."""
     sizes = np.concatenate([np.full(len(block), block.shape[1]) for _, block in blocks])
     types = np.concatenate([np.full(len(block), kind, dtype=np.uint8) for kind, block in blocks])

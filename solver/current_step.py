@@ -79,7 +79,7 @@ class StepMonitor:
         """
         if self._last is not None and self._last[0] is u:
             return self._last[1]
-        fastest, u_now = 0.0, np.ascontiguousarray(u)
+        fastest, u_now = 0.0, np.asfortranarray(u)
         if self._elements is not None:
             fastest = fastest_of_elements(*self._elements, u_now, fastest)
         for points, at_start in self._points:

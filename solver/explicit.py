@@ -329,11 +329,11 @@ def broken(model: Model, state: State, last: Frame) -> RunStopped:
     """The elements are inverted or not finite: say which, where and when."""
     m = len(model.elements.kind)
     uncut = (
-        (cut_stress(model.full, state.u)[2], np.diff(model.full.first))
+        (cut_stress(model.full, state.u).j, np.diff(model.full.first))
         if len(model.full.weight)
-        else (element_stress(model.elements, state.u)[2], np.ones(m, dtype=np.int64))
+        else (element_stress(model.elements, state.u).j, np.ones(m, dtype=np.int64))
     )
-    cut = cut_stress(model.cut_elements, state.u)[2], np.diff(model.cut_elements.first)
+    cut = cut_stress(model.cut_elements, state.u).j, np.diff(model.cut_elements.first)
     j, points = (np.concatenate(pair) for pair in zip(uncut, cut, strict=True))
     worst = int(np.argmin(np.where(np.isfinite(j), j, -np.inf)))
     element = int(np.repeat(np.arange(len(points)), points)[worst])

@@ -10,7 +10,7 @@ import pyvista
 import shapely
 
 from phantomnode.pipeline.case import case_from_table, load_case
-from phantomnode.pipeline.clip import ClippedBodies
+from phantomnode.pipeline.clip import ClippedBodies, cell_labels
 from phantomnode.pipeline.fields import BodiesFile
 from phantomnode.pipeline.outlines import open_edges
 from phantomnode.pipeline.preflight import steps_of
@@ -82,27 +82,27 @@ def test_the_cells_drawn_cover_the_bodies_once(name: str, tmp_path: Path) -> Non
     """At the start, as a frame in double precision has them: 1e-10 is the rounding of 1e3 areas."""
     case = load_case(name, (*CASES[name], 'output.fields.precision="float64"'))
     prepared = prepare(case)
-    clipped = ClippedBodies.of(prepared)
+    clipped, labels = ClippedBodies.of(prepared), cell_labels(prepared.bodies)
     frame = next(frames_of(prepared, np.array([0, 1]), 1, None, Stopping()))
     (tmp_path / "a.vtu").write_bytes(b"".join(BodiesFile(prepared).vtu(frame)))
     written = pyvista.read(tmp_path / "a.vtu")
     cells = polygons_of(clipped, np.asarray(written.points)[:, :2])
     for number, body in enumerate(prepared.bodies):
-        own = clipped.body == number
+        own = labels.body == number
         assert shapely.area(cells[own]).sum() == pytest.approx(body.mesh.area.sum(), rel=1e-10)
         if body.name != "ring":  # chords stand for its circles
             assert shapely.area(cells[own]).sum() == pytest.approx(areas(body)["cad"], rel=1e-10)
-        for side in np.unique(clipped.side[own]):
-            assert loose(cells[own & (clipped.side == side)]) < 1e-10
+        for side in np.unique(labels.side[own]):
+            assert loose(cells[own & (labels.side == side)]) < 1e-10
 
 
 def test_no_cracks_between_connected_cells_after_a_long_drag() -> None:
     """wavy_block at its end, coarsely: the halves are bent and have slid apart by half their length."""
     prepared = prepare(load_case("wavy_block", (*CASES["wavy_block"], "time.step='auto'")))
     *_, last = frames_of(prepared, np.array([0, steps_of(prepared)]), 1, None, Stopping())
-    clipped = ClippedBodies.of(prepared)
+    clipped, labels = ClippedBodies.of(prepared), cell_labels(prepared.bodies)
     cells = polygons_of(clipped, clipped.interpolate(prepared.model.x + last.u))
-    assert np.unique(clipped.side).tolist() == [0, 1]
+    assert np.unique(labels.side).tolist() == [0, 1]
     for side in (0, 1):
-        assert loose(cells[clipped.side == side]) < 1e-10
+        assert loose(cells[labels.side == side]) < 1e-10
     assert np.abs(last.u[:, 0]).max() > 0.99

@@ -73,7 +73,7 @@ def test_a_bar_under_traction_or_follower_pressure_has_the_closed_form_stretch(s
     # A dead traction is per reference length: the bar gets thinner. Kernel figures have seven digits.
     value = [cauchy * across] if kind == "traction" else [-cauchy]
     u = equilibrium(case.model, value, np.zeros_like(case.model.x))
-    for stress, _, j in (element_stress(case.model.elements, u), cut_stress(case.model.cut_elements, u)):
+    for stress, _, j, _ in (element_stress(case.model.elements, u), cut_stress(case.model.cut_elements, u)):
         np.testing.assert_allclose(stress[:, 0], cauchy, rtol=1e-6)
         np.testing.assert_allclose(stress[:, [1, 3]], 0.0, atol=1e-6 * cauchy)
         np.testing.assert_allclose(j, stretch * across, rtol=1e-6)
