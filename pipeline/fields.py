@@ -128,6 +128,11 @@ class Fields(Sampled):
         for series in self._series:
             series.reach_disk()
 
+    def close(self) -> None:
+        """End what is underway, also after an error elsewhere."""
+        for series in self._series:
+            series.close()
+
     def digests(self) -> dict[Path, str]:
         """SHA-256 of all frames so far."""
         return {file: digest for series in self._series for file, digest in series.digests().items()}

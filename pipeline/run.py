@@ -126,6 +126,7 @@ def run(
                 else new_start(prepared, lines, folder)
             )
             closing.callback(start.history.close)
+            closing.callback(start.fields.close)
             _tell(console, notes)
             log = RunLog(folder / "run.log", prepared, command, notes, start.frame)
             background = Background([start.fields, *start.profiles.values()])

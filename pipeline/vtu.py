@@ -13,7 +13,7 @@ import hashlib
 import os
 import zlib
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
 from html import escape
 from pathlib import Path
@@ -201,8 +201,8 @@ def _begun(arrays: Mapping[str, Packable], encoding: Encoding) -> list[Encoded |
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    """Two threads for what does not need Python's lock: to pack arrays and to hash files."""
-    return ThreadPoolExecutor(2, thread_name_prefix="packing")
+    """Threads for what does not need Python's lock: two to pack arrays and one to hash and write a file."""
+    return ThreadPoolExecutor(3, thread_name_prefix="packing")
 
 
 if hasattr(os, "register_at_fork"):
@@ -212,8 +212,9 @@ if hasattr(os, "register_at_fork"):
 class Series:
     """A .pvd file and its folder of .vtu files: complete, and readable by ParaView, after every frame.
 
-    To wait for the disk at every file takes longer than to compute it; so that is done once a second, and at the
-    end by :meth:`reach_disk`.
+    A frame is written in another thread, while the next one is made; what fails there is raised by whatever is asked
+    of the series next. To wait for the disk at every file takes longer than to compute it; so that is done once a
+    second, and at the end by :meth:`reach_disk`.
 
     Parameters
     ----------
@@ -236,22 +237,33 @@ class Series:
         self._digests: list[str] = []
         self._in_memory: list[Path] = []
         self._waited = monotonic()
+        self._writing: Future[None] | None = None
         self._buffer = bytearray()  # kept: fresh memory for each frame takes the system as long as to fill it
         if saved is not None:
             self._restore(saved)
 
-    def add(self, time: float, pieces: Sequence[bytes]) -> Path:
+    def add(self, time: float, pieces: Sequence[bytes]) -> None:
         """Write the next frame (the pieces of a .vtu) at a time in seconds, then the .pvd anew."""
-        frame, content = self._frame(len(self._times)), self._joined(pieces)
-        digest = _threads().submit(hashlib.sha256, content)
+        self._wait()
+        self._writing = _threads().submit(self._write, time, self._joined(pieces))
+
+    def _write(self, time: float, content: memoryview) -> None:
+        """In the thread: a frame, then the .pvd that names it."""
+        frame = self._frame(len(self._times))
+        digest = hashlib.sha256(content).hexdigest()
         write_atomically(frame, content, durable=False)
         self._in_memory.append(frame)
         self._times.append(time)
-        self._digests.append(digest.result().hexdigest())
+        self._digests.append(digest)
         self._write_index()
         if monotonic() > self._waited + 1.0:
-            self.reach_disk()
-        return frame
+            self._reach_disk()
+
+    def _wait(self) -> None:
+        """Until the frame that is underway is written; raise what kept it from that."""
+        if self._writing is not None:
+            writing, self._writing = self._writing, None
+            writing.result()
 
     def _joined(self, pieces: Sequence[bytes]) -> memoryview:
         """The pieces one behind the other, until the next frame."""
@@ -266,18 +278,29 @@ class Series:
 
     def reach_disk(self) -> None:
         """Wait until the disk holds the frames so far and the .pvd."""
+        self._wait()
+        self._reach_disk()
+
+    def _reach_disk(self) -> None:
         if self._in_memory:
             for file in (*self._in_memory, self.path):
                 reach_disk(file)
         self._in_memory.clear()
         self._waited = monotonic()
 
+    def close(self) -> None:
+        """Leave no thread behind that writes, also after an error elsewhere."""
+        if self._writing is not None:
+            wait([self._writing])
+
     def saved(self) -> Tree:
         """What the series holds so far."""
+        self._wait()
         return {"times": list(self._times), "sha256": list(self._digests)}
 
     def digests(self) -> dict[Path, str]:
         """SHA-256 of the frames so far."""
+        self._wait()
         return {self._frame(number): digest for number, digest in enumerate(self._digests)}
 
     def _restore(self, saved: Tree) -> None:

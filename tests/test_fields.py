@@ -198,6 +198,7 @@ def test_series_is_whole_after_every_frame(tmp_path):
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     for k in range(3):
         series.add(0.1 * k, vtu_pieces(vectors(square), grid, {}, {"value": np.arange(2.0)}, 0.1 * k))
+        assert len(series.saved()["times"]) == k + 1  # once it is written
         entries = ET.parse(io.BytesIO((tmp_path / "a & b.pvd").read_bytes())).getroot().iter("DataSet")
         assert len([meshio.read(tmp_path / e.get("file")) for e in entries]) == k + 1
 
@@ -210,9 +211,23 @@ def test_frames_reach_the_disk_at_the_end_and_once_a_second_before(tmp_path, mon
     series.reach_disk()  # nothing yet
     for now[0] in (0.4, 0.8, 1.2, 1.6):
         series.add(now[0], [b"content"])
+        series.saved()
     assert synced == ["a_00000.vtu", "a_00001.vtu", "a_00002.vtu", "a.pvd"]
     series.reach_disk()
     assert synced[4:] == ["a_00003.vtu", "a.pvd"]
+
+
+def test_a_frame_that_cannot_be_written_is_told_by_what_comes_next(tmp_path):
+    series = Series(tmp_path / "a.pvd")
+    series.add(0.0, [b"content"])
+    series.reach_disk()
+    (tmp_path / "a").rename(tmp_path / "gone")
+    for ask in (lambda: series.add(2.0, [b"content"]), series.saved, series.digests, series.reach_disk):
+        series.add(1.0, [b"content"])
+        series.close()  # says nothing
+        with pytest.raises(FileNotFoundError, match="a_00001.vtu"):
+            ask()
+    assert series.saved()["times"] == [0.0] and "a_00001" not in (tmp_path / "a.pvd").read_text()
 
 
 @pytest.mark.parametrize("precision", ["float32", "float64"])
