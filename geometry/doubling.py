@@ -71,8 +71,8 @@ class CutMesh:
         The grid cell of each element.
     area : (m,) float64, m^2
         Area of the material part of each element.
-    fraction : (m,) float64
-        The same over the area of its cell.
+    cut_fraction : (c,) float64
+        The same over the area of its cell, of the cut elements.
     cut : (m,) bool
         Whether the material is a part of the cell only.
     component : (m,) int32
@@ -90,13 +90,20 @@ class CutMesh:
     elements: Numbers
     cell: Numbers
     area: Floats
-    fraction: Floats
+    cut_fraction: Floats
     cut: Bools
     component: Numbers
     triangles: Floats
     triangle_element: Ints
     segments: BoundarySegments
     notes: tuple[str, ...] = ()
+
+    @property
+    def fraction(self) -> Floats:
+        """(m,) Area of the material part of each element over the area of its cell."""
+        fraction = np.ones(len(self.cut))
+        fraction[self.cut] = self.cut_fraction
+        return fraction
 
     def nodes(self, elements: Ints | Bools) -> Ints:
         """(k, 4) int64 Nodes of some elements."""
@@ -147,7 +154,7 @@ def double(grid: BackgroundGrid, fragments: Fragments) -> CutMesh:
         elements=elements,
         cell=fragments.cell,
         area=area,
-        fraction=np.where(fragments.whole, 1.0, area / cell_area),
+        cut_fraction=area[~fragments.whole] / cell_area[~fragments.whole],
         cut=~fragments.whole,
         component=_components(fragments, near, pairs),
         triangles=triangles,

@@ -350,12 +350,15 @@ def check(grid: BackgroundGrid) -> BackgroundGrid:
         raise GeometryError(f"node {node} of the grid has a coordinate that is not finite")
     if grid.quads.min() < 0 or grid.quads.max() >= len(grid.xy):
         raise GeometryError(f"a cell of the grid names a node that is none of its {len(grid.xy)}")
-    worst = [scaled_jacobians(grid.xy, grid.quads[rows]).min(axis=1) for rows in chunks(grid.cell_count)]
+    worst = [
+        scaled_jacobians(grid.xy, grid.corners(np.arange(rows.start, rows.stop))).min(axis=1)
+        for rows in chunks(grid.cell_count)
+    ]
     bad = np.flatnonzero(~(np.concatenate(worst) > 0.0))
     if len(bad):
-        x, y = grid.xy[grid.quads[bad[0]]].mean(axis=0)
+        x, y = grid.xy[grid.corners(bad[0])].mean(axis=0)
         raise GeometryError(
-            f"{len(bad)} of {len(grid.quads)} grid cells are inverted or folded over, the first is cell "
+            f"{len(bad)} of {grid.cell_count} grid cells are inverted or folded over, the first is cell "
             f"{bad[0]} at ({x:.6g}, {y:.6g}); cells must be convex and run counter-clockwise"
         )
     return grid

@@ -19,6 +19,43 @@ JOIN = 1e-6
 """Curves of a mapped grid meet where their ends are this close, in sizes of the whole."""
 
 
+class StructuredGrid(BackgroundGrid):
+    """Cells in rows, the first direction running fastest: their nodes follow from their numbers.
+
+    ``quads`` are made where somebody asks for them.
+    """
+
+    def __init__(self, xy: Floats, shape: tuple[int, int]) -> None:
+        """Nodes (n, 2), metres, and cells in either direction; closed where the last row has none of its own."""
+        object.__setattr__(self, "xy", xy)
+        object.__setattr__(self, "shape", shape)
+
+    @property
+    def cell_count(self) -> int:
+        """Number of cells."""
+        assert self.shape is not None
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def quads(self) -> Numbers:  # type: ignore[override]
+        """(m, 4) Nodes of all cells."""
+        return self.corners(np.arange(self.cell_count, dtype=np.int32))
+
+    def corners(self, cells: Numbers) -> Numbers:
+        """(k, 4) Nodes of some cells, counter-clockwise."""
+        assert self.shape is not None
+        low = cells + cells // self.shape[0]
+        high = (low + (self.shape[0] + 1)) % ((self.shape[0] + 1) * (self.shape[1] + (not self.closed)))
+        return np.stack([low, low + 1, high + 1, high], axis=-1)
+
+    def moved(self, nodes: Ints, positions: Floats) -> StructuredGrid:
+        """The grid with some nodes (k,), ascending, at other positions (k, 2), metres."""
+        assert self.shape is not None
+        xy = self.xy.copy()
+        xy[nodes] = positions
+        return StructuredGrid(xy, self.shape)
+
+
 def polar(
     centre: Pair, radii: Pair, angles: Pair = (0.0, 360.0), *, counts: tuple[int, int]
 ) -> BackgroundGrid:
@@ -55,7 +92,7 @@ def polar(
     direction = np.column_stack([np.cos(theta), np.sin(theta)])
     direction = np.where(np.mod(degrees, 90.0)[:, None] == 0.0, np.round(direction), direction)
     xy = np.asarray(centre) + r[None, :, None] * direction[:, None, :]
-    return check(BackgroundGrid(xy.reshape(-1, 2), _structured_quads(n_r, n_theta, closed), (n_r, n_theta)))
+    return check(StructuredGrid(xy.reshape(-1, 2), (n_r, n_theta)))
 
 
 def mapped(bottom: Curve, right: Curve, top: Curve, left: Curve, counts: tuple[int, int]) -> BackgroundGrid:
@@ -84,23 +121,7 @@ def mapped(bottom: Curve, right: Curve, top: Curve, left: Curve, counts: tuple[i
     corners = (1.0 - v1) * ((1.0 - u1) * b[0] + u1 * b[-1]) + v1 * ((1.0 - u1) * t[0] + u1 * t[-1])
     xy = ruled - corners
     xy[:, 0], xy[:, -1], xy[0], xy[-1] = w, r, b, t
-    return check(BackgroundGrid(xy.reshape(-1, 2), _structured_quads(n_u, n_v), (n_u, n_v)))
-
-
-def _structured_quads(n_i: int, n_j: int, closed: bool = False) -> Numbers:
-    """(n_i * n_j, 4) Cells of a structured grid, the first direction running fastest."""
-    i, row = np.arange(n_i, dtype=np.int32), np.arange(n_j, dtype=np.int32)[:, None] * np.int32(n_i + 1)
-    above = row + np.int32(n_i + 1)
-    if closed:
-        above %= np.int32(n_j * (n_i + 1))
-    quads = np.empty((n_j, n_i, 4), dtype=np.int32)
-    quads[..., 0], quads[..., 1], quads[..., 2], quads[..., 3] = (
-        row + i,
-        row + i + 1,
-        above + i + 1,
-        above + i,
-    )
-    return quads.reshape(-1, 4)
+    return check(StructuredGrid(xy.reshape(-1, 2), (n_u, n_v)))
 
 
 def _joined(*curves: Curve) -> tuple[Curve, Curve, Curve, Curve]:

@@ -208,7 +208,7 @@ def stiffened(case: Case, meshes: list[CutMesh], cut: CutElements) -> CutElement
     The integration weights are scaled: stress and strain at the points stay what they are, force and energy do not.
     """
     table = case.integration
-    fraction = np.concatenate([mesh.fraction[mesh.cut] for mesh in meshes])
+    fraction = np.concatenate([mesh.cut_fraction for mesh in meshes])
     factor = np.where(fraction < table.alpha_below, table.alpha, 1.0)
     return cut._replace(weight=cut.weight * np.repeat(factor, np.diff(cut.first)), mass=cut.mass * factor)
 

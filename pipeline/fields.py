@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
+from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree, shown
 from phantomnode.pipeline.clip import ClippedBodies, cell_labels
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.observer import Ending, Sampled
@@ -115,7 +115,7 @@ class Fields(Sampled):
         for file, series in zip(self._files, self._series, strict=True):
             series.add(frame.time, file.vtu(frame))
         if self.peak is None or frame.energies.internal > self.peak.energies.internal:
-            self.peak = frame_of(frame_tree(frame, resumable=False))
+            self.peak = shown(frame)
 
     def finish(self, ending: Ending) -> None:
         """Write the last frame where it is not there yet; then all of them are on the disk."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.background import Background
-from phantomnode.pipeline.checkpoint import identity
+from phantomnode.pipeline.checkpoint import identity, shown
 from phantomnode.pipeline.durations import every_option
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.files import make_folder, write_atomically
@@ -314,9 +314,10 @@ def march(
             last = frame
             stopping.moved()
             if frame.step in samples:
+                view = shown(frame)
                 for observer in observers:
                     if observer.due(frame.step):
-                        observer.frame(frame)
+                        observer.frame(view)
             if keeper is not None:
                 keeper.look(frame, stepping)
     except RunStopped as stop:

@@ -229,7 +229,7 @@ def small_elements(prepared: Prepared) -> NDArray[np.intp]:
     table = prepared.case.integration
     if table.alpha == 1.0:
         return np.zeros(0, dtype=np.intp)
-    fraction = np.concatenate([body.mesh.fraction[body.mesh.cut] for body in prepared.bodies])
+    fraction = np.concatenate([body.mesh.cut_fraction for body in prepared.bodies])
     return np.flatnonzero(fraction < table.alpha_below)
 
 

@@ -40,8 +40,8 @@ def mesh_of(xy, quads, cut, triangles, real):
     area = np.where(cut, np.bincount(owner, pieces, len(quads)), grid.areas)
     m = len(quads)
     mesh = CutMesh(
-        grid.xy, np.arange(len(xy)), np.array(real), grid.quads, np.arange(m), area, area / grid.areas,
-        np.array(cut), np.zeros(m, np.int64), corners, owner, NO_SEGMENTS,
+        grid.xy, np.arange(len(xy)), np.array(real), grid.quads, np.arange(m), area,
+        (area / grid.areas)[np.array(cut)], np.array(cut), np.zeros(m, np.int64), corners, owner, NO_SEGMENTS,
     )  # fmt: skip
     return grid, mesh
 
