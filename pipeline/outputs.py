@@ -48,6 +48,21 @@ def _own_outputs(case: Case) -> Iterator[str]:
     yield from (f"counts.{count}" for count in COUNTS)
 
 
+UNITS = {
+    "peak_contact_force": "N/m", "peak_reaction": "N/m", "largest_penetration": "m", "contact_impulse": "N s/m",
+    "velocity": "m/s", "mass": "kg/m", "energies": "J/m", "internal_energy_max": "J/m", "hourglass_energy_max": "J/m",
+    "stable_step_min": "s", "dt": "s", "dt_stable": "s", "end_time": "s", "wall_s": "s", "step_loop_s": "s",
+    "element_updates_per_s": "1/s",
+}  # fmt: skip
+"""By the first word of an output; what is not here is a plain number. Per metre of thickness."""
+
+
+def unit_of(name: str) -> str:
+    """The unit of one of :func:`known_outputs`, "" of a plain number."""
+    words = name.split(".")
+    return UNITS.get(words[2] if words[0] == "variant" else words[0], "")
+
+
 def wall_time(figures: Mapping[str, Any]) -> float | None:
     """Wall time of a case with its variants, s; None where it has not ended."""
     runs = [figures, *figures.get("variant", {}).values()]

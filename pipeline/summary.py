@@ -197,7 +197,7 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         checks.append(_below("momentum error", max(errors), MOMENTUM_ERROR, advice))
     if prepared.pairs:
         deepest = max(tally.penetration[k] / _slave_cell(prepared, k) for k in range(len(prepared.pairs)))
-        advice = "take a stiffer penalty"
+        advice = "take a stiffer penalty, or smaller cells where a sharp corner of the master sinks in"
         checks.append(_below("penetration over cell size", float(deepest), PENETRATION, advice))
     return tuple(checks)
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
+from phantomnode.pipeline.corners import deepest_corner, master_corners
 from phantomnode.pipeline.history import boundary_force, centre
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
@@ -65,6 +66,7 @@ class Tally:
         self.stable_step = np.inf
         self.peak_reaction = np.zeros(len(prepared.boundaries))
         self.penetration = np.zeros(len(prepared.pairs))
+        self._corners = [master_corners(prepared, k) for k in range(len(prepared.pairs))]
         self._times: list[float] = []
         self._forces: list[Floats] = []
 
@@ -90,7 +92,8 @@ class Tally:
             self.peak_reaction[k] = max(self.peak_reaction[k], size)
         for k, pair in enumerate(self._prepared.pairs):
             deepest = np.max(frame.gap[pair.points], initial=0.0)
-            self.penetration[k] = max(self.penetration[k], deepest)
+            corner = deepest_corner(self._corners[k], self._prepared.model.x, frame.u)
+            self.penetration[k] = max(self.penetration[k], deepest, corner)
         self._times.append(frame.time)
         self._forces.append(np.hypot(*frame.pair_force.T))
 

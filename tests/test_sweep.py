@@ -15,7 +15,7 @@ from phantomnode.pipeline.axes import Axis, Samples, axis_values
 from phantomnode.pipeline.case import bundled_cases, case_from_table
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.names import LONGEST, unique_names
-from phantomnode.pipeline.outputs import known_outputs, output_of
+from phantomnode.pipeline.outputs import known_outputs, output_of, unit_of
 from phantomnode.pipeline.sweep import load_study
 
 SPEED = {"key": "body.part.initial_velocity.1", "values": [-10.0, -20.0]}
@@ -199,4 +199,5 @@ def test_every_output_is_in_the_summary_of_a_run(tmp_path: Path) -> None:
     figures = json.loads((tmp_path / "summary.json").read_text())
     found = {name: output_of(figures, name) for name in known_outputs(case)}
     assert all(isinstance(value, int | float) for value in found.values()), found
+    assert unit_of("variant.soft.peak_contact_force.landing") == "N/m" and unit_of("counts.cut") == ""
     assert found["velocity.disc.start.y"] == pytest.approx(-50.0) and found["contact_phases.landing"] == 0
