@@ -61,6 +61,11 @@ def _limits(low: float, high: float, what: Quantity) -> Limits:
     return Limits(centre - reach, centre + reach)
 
 
+def _visible(limits: Limits) -> Limits:
+    """Limits that a colour bar can have: those of a field that is zero everywhere are zero and one."""
+    return limits if max(np.abs(limits)) > np.finfo(np.float32).tiny else Limits(0.0, 1.0)
+
+
 def map_of(limits: tuple[float, float], what: Quantity) -> str:
     """The name of matplotlib's colour map: pale in the middle only where zero lies there."""
     one_sided = what.kind == "signed" and limits[0] * limits[1] >= 0.0
@@ -117,7 +122,7 @@ class FieldPicture:
     ) -> None:
         self._what, self._title = quantity(name), title
         values = self._what.values(frame)
-        limits = limits or limits_of(values, self._what)
+        limits = _visible(limits or limits_of(values, self._what))
         self._factor, unit = readable(np.array(limits), self._what.unit)
         box = view_box(frame) if box is None else box
         self.figure, (axes,) = map_figure(box, width)

@@ -204,6 +204,10 @@ class TestPictures:
         assert bar.get_ylabel().startswith("von Mises stress, ") and bar.get_ylabel().endswith("Pa")
         assert "t = " in axes.get_title()
 
+    def test_a_field_that_is_zero_has_a_colour_bar_from_zero_to_one(self, results):
+        bar = results.plot("von_mises", "start").axes[1]
+        assert bar.get_ylim() == (0.0, 1.0) and bar.get_ylabel() == "von Mises stress, Pa"
+
     def test_pressure_is_drawn_around_the_contact_not_at_the_seam(self, results):
         axes = draw_pressure(results, "landing", ["peak"]).axes[0]
         low, high = axes.get_xlim()
