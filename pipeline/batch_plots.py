@@ -9,7 +9,7 @@ from typing import Any
 from phantomnode.pipeline.ledger import Ledger
 from phantomnode.pipeline.names import word
 from phantomnode.pipeline.one_case import DONE
-from phantomnode.pipeline.outputs import output_of, unit_of
+from phantomnode.pipeline.outputs import output_of, with_unit
 from phantomnode.pipeline.sweep import Plot
 
 MOST_LABELS = 12
@@ -80,7 +80,7 @@ def _draw(plot: Plot, found: Curves, title: str, path: Path) -> None:
     for label, points in found.items():
         x = [value if _numeric(points) else word(value) for value, _ in points]
         axes.plot(x, [y for _, y in points], marker="o", markersize=4.0, linewidth=1.0, label=label)
-    axes.set(xlabel=plot.x, ylabel=", ".join(filter(None, (plot.y, unit_of(plot.y)))), title=title)
+    axes.set(xlabel=plot.x, ylabel=with_unit(plot.y), title=title)
     for direction in plot.log:
         getattr(axes, f"set_{direction}scale")("log")
     if 1 < len(found) <= MOST_LABELS:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.one_case import DONE
-from phantomnode.pipeline.outputs import CASE_COLUMNS, SCALARS, known_outputs, output_of
+from phantomnode.pipeline.outputs import CASE_COLUMNS, SCALARS, known_outputs, output_of, with_unit
 from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render, titled
 from phantomnode.pipeline.results import open_results
@@ -137,7 +137,7 @@ def table_of(cases: Sequence[Compared], home: Path) -> Table:
         row.append(_checks(case.doubts))
         row += [_cell(case.outputs.get(name)) for name in outputs]
         rows.append([*row, name] if axes else [name, *row])
-    columns = [*axes, "status", "checks", *outputs]
+    columns = [*axes, "status", "checks", *map(with_unit, outputs)]
     return Table([*columns, "case"] if axes else ["case", *columns], rows)
 
 
@@ -156,7 +156,7 @@ def _comparison(cases: Sequence[Compared]) -> dict[str, Any]:
             for name in cases[0].inputs
         ],
         "outputs": [
-            {"name": name, "values": [case.outputs.get(name) for case in cases]}
+            {"name": with_unit(name), "values": [case.outputs.get(name) for case in cases]}
             for name in sorted(_outputs(cases), key=lambda name: not name.startswith(SHOWN))
         ],
     }

@@ -63,6 +63,11 @@ def unit_of(name: str) -> str:
     return UNITS.get(words[2] if words[0] == "variant" else words[0], "")
 
 
+def with_unit(name: str) -> str:
+    """An output as it is called in pictures and tables: "peak_contact_force.landing, N/m"."""
+    return f"{name}, {unit_of(name)}" if unit_of(name) else name
+
+
 def wall_time(figures: Mapping[str, Any]) -> float | None:
     """Wall time of a case with its variants, s; None where it has not ended."""
     runs = [figures, *figures.get("variant", {}).values()]

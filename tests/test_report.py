@@ -209,7 +209,7 @@ class TestPages:
         comparison = data_of(page)["comparison"]
         assert [axis["name"] for axis in comparison["axes"]] == ["speed", "cell"]
         force = comparison["outputs"][0]
-        assert force == {"name": "peak_contact_force.landing", "values": [500.0, 1001.0, 502.0, None]}
+        assert force == {"name": "peak_contact_force.landing, N/m", "values": [500.0, 1001.0, 502.0, None]}
         assert len(page.read_bytes()) < LIMIT
 
     def test_cases_keep_their_values_and_doubts(self, batch):
