@@ -28,6 +28,10 @@ CELL_BYTES = {
 
 LINE_BYTES = 60.0
 
+PROCESS_BYTES, NODE_BYTES = 2.7e8, 520.0
+"""Memory of a run that is tiny, and beyond the model's own arrays for each node: the cut meshes, the states of the
+run and of the frames on their way, output and its pictures; measured with tests/benchmarks."""
+
 
 def steps_of(prepared: Prepared) -> int:
     """Number of steps to the end of the case; the last one may reach past it by less than a step."""
@@ -45,10 +49,13 @@ def estimated_time(prepared: Prepared) -> float:
     return steps_of(prepared) * step
 
 
-def memory(prepared: Prepared) -> int:
-    """Bytes of the model and of the states that a run keeps (running, sampled, best picture)."""
-    nodes = len(prepared.model.x)
-    return sum(array.nbytes for array in _arrays(prepared.model)) + 3 * nodes * 9 * 8
+def estimated_memory(prepared: Prepared) -> float:
+    """Bytes of a whole run at its peak; good to a quarter."""
+    return (
+        PROCESS_BYTES
+        + sum(array.nbytes for array in _arrays(prepared.model))
+        + NODE_BYTES * len(prepared.model.x)
+    )
 
 
 def step_place(prepared: Prepared) -> Floats:
@@ -173,7 +180,7 @@ def _run_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     yield "step taken", f"{prepared.dt:.4g} s"
     yield "steps", f"{steps_of(prepared)} to {prepared.case.time.end:g} s"
     yield "time needed", f"about {_duration(estimated_time(prepared))} on one core"
-    yield "memory", f"{memory(prepared) / 2**20:.1f} MiB of arrays"
+    yield "memory", f"about {_bytes(estimated_memory(prepared))} at the peak"
     frames = min(prepared.case.output.fields.count, steps_of(prepared)) + 1
     yield "disk", f"about {_bytes(estimated_disk(prepared))}, for {frames} frames and two checkpoints"
 
