@@ -29,7 +29,7 @@ title = "{file} falls on a plane"
 time = {{ end = {end:g} }}                    # s; the step is found automatically
 
 [material.steel]
-E = 210e9                                   # Young's modulus, Pa
+E = 210e9                                   # Young's modulus, Pa; elastic only: nothing yields
 nu = 0.3                                    # Poisson's ratio, below 0.5
 rho = 7800.0                                # density, kg/m^3
 """

@@ -33,16 +33,28 @@ def initial_gaps(prepared: Prepared) -> list[Gap | None]:
             found.append(None)
             continue
         slave = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
-        places = np.concatenate([slave[:, 0], 0.5 * (slave[:, 0] + slave[:, 1]), slave[:, 1]])
-        masters = shapely.linestrings(master_ends(prepared, pair.passes[0]))
-        (_, number), distance = shapely.STRtree(masters).query_nearest(
-            shapely.points(places), return_distance=True, all_matches=False
-        )
-        nearest = int(np.argmin(distance))
-        way = shapely.shortest_line(shapely.Point(places[nearest]), masters[number[nearest]])
+        master = master_ends(prepared, pair.passes[0])
+        # From either side: what is nearest may be a corner of the one or of the other.
+        way = min(_shortest(slave, master), _shortest(master, slave)[::-1], key=_length)
         depth = float(contact.offset[pair.points].max(initial=0.0))
-        found.append(Gap(-depth if depth > 0.0 else float(distance[nearest]), *shapely.get_coordinates(way)))
+        found.append(Gap(-depth if depth > 0.0 else _length(way), *way))
     return found
+
+
+def _shortest(ends: Floats, others: Floats) -> Floats:
+    """(2, 2) The shortest way from the ends and middles of some segments, (s, 2, 2), to others, m."""
+    places = np.concatenate([ends[:, 0], ends.mean(axis=1), ends[:, 1]])
+    lines = shapely.linestrings(others)
+    (_, number), distance = shapely.STRtree(lines).query_nearest(
+        shapely.points(places), return_distance=True, all_matches=False
+    )
+    nearest = int(np.argmin(distance))
+    way = shapely.shortest_line(shapely.Point(places[nearest]), lines[number[nearest]])
+    return np.asarray(shapely.get_coordinates(way))
+
+
+def _length(way: Floats) -> float:
+    return float(np.hypot(*(way[1] - way[0])))
 
 
 def ends_of(prepared: Prepared, nodes: Ints, start: Floats, end: Floats) -> Floats:

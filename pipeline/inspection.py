@@ -130,7 +130,9 @@ def _head(found: Inspection) -> Iterator[str]:
     else:
         yield f'no unit is said: give one (unit = "mm"); size {width:.6g} x {height:.6g} units'
     holes = sum(len(region.holes) for region in geometry.regions)
-    yield f"{len(geometry.regions)} regions with {holes} holes, {len(geometry.curves)} other curves"
+    counts = ((len(geometry.regions), "region"), (holes, "hole"), (len(geometry.curves), "other curve"))
+    regions, inner, others = (f"{count} {name}{'' if count == 1 else 's'}" for count, name in counts)
+    yield f"{regions} with {inner}, {others}"
 
 
 def _layer_rows(geometry: Geometry) -> Iterator[tuple[str, ...]]:

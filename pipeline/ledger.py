@@ -7,7 +7,7 @@ import io
 import json
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -87,7 +87,7 @@ class Ledger:
             outputs = (output_of(outcome.figures, name) for name in self.study.shown)
             shown = [_short(value) for value in (wall_time(outcome.figures), *outputs)]
             values = (_short(point.values[name]) for name in self.study.sweep.axis)
-            table.add_row(*values, f"[{style}]{outcome.status}[/]", *shown)
+            table.add_row(*values, f"[{style}]{outcome.status}[/]{_doubt(outcome.figures)}", *shown)
         return table
 
     def _line(self, place: int) -> str:
@@ -97,6 +97,11 @@ class Ledger:
         outputs = [_text(output_of(outcome.figures, name)) for name in self.study.outputs]
         folder, status, reason = self.folders[place], outcome.status, outcome.reason
         return _csv([point.name, folder, status, reason, point.hash, *inputs, *outputs])
+
+
+def _doubt(figures: Mapping[str, Any]) -> str:
+    """What stands behind the status of a case that did not keep all of its checks."""
+    return "" if all(check["passed"] for check in figures.get("checks", ())) else ", look at it"
 
 
 def _csv(cells: Sequence[str]) -> str:

@@ -169,14 +169,16 @@ def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
             "weak": f"{held}, by springs of {boundary.penalty:.4g} Pa/m",
             "load": "nothing: a load",
         }
-        yield boundary.name, str(len(boundary.nodes)), what[boundary.kind]
+        obstacle = boundary.name in prepared.case.rigid
+        yield boundary.name, str(len(boundary.nodes)), "a rigid obstacle" if obstacle else what[boundary.kind]
 
 
 def _run_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     place = ""
     if prepared.xfem is None:
         place = " at ({:.4g}, {:.4g}) m".format(*step_place(prepared))
-    yield "stable step", f"{prepared.estimate.dt:.4g} s, set by {_escaped(step_set_by(prepared))}{place}"
+    stable = prepared.estimate.dt / prepared.case.time.safety
+    yield "stable step", f"{stable:.4g} s, set by {_escaped(step_set_by(prepared))}{place}"
     yield "step taken", f"{prepared.dt:.4g} s"
     yield "steps", f"{steps_of(prepared)} to {prepared.case.time.end:g} s"
     yield "time needed", f"about {_duration(estimated_time(prepared))} on one core"

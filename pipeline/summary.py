@@ -196,8 +196,15 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         advice = "a body gains momentum that nothing gives it: please report the case"
         checks.append(_below("momentum error", max(errors), MOMENTUM_ERROR, advice))
     if prepared.pairs:
-        deepest = max(tally.penetration[k] / _slave_cell(prepared, k) for k in range(len(prepared.pairs)))
-        advice = "take a stiffer penalty, or smaller cells where a sharp corner of the master sinks in"
+        cells = [_slave_cell(prepared, k) for k in range(len(prepared.pairs))]
+        worst = int(np.argmax(tally.penetration / cells))
+        deepest = tally.penetration[worst] / cells[worst]
+        advice = "take a stiffer penalty"
+        if tally.corner_depth[worst] == tally.penetration[worst]:
+            advice = (
+                "a sharp corner of the master sank in between two points of the slave: "
+                'take points = { rule = "gauss", count = 4 } for the contact, or smaller cells there'
+            )
         checks.append(_below("penetration over cell size", float(deepest), PENETRATION, advice))
     return tuple(checks)
 
@@ -305,10 +312,10 @@ def _below(name: str, value: float, limit: float, advice: str) -> Check:
 
 
 def _slave_cell(prepared: Prepared, pair: int) -> float:
-    """Cell size of the slave's body, m: the scale on which a penetration is small or not."""
+    """Size of the median cell of the slave's body, m: the scale on which a penetration is small or not."""
     from phantomnode.pipeline.tally import pair_bodies
 
-    return pair_bodies(prepared, pair)[0].grid.cell_size
+    return pair_bodies(prepared, pair)[0].grid.typical_size
 
 
 def _plain(value: Any) -> Any:

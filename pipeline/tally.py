@@ -66,6 +66,7 @@ class Tally:
         self.stable_step = np.inf
         self.peak_reaction = np.zeros(len(prepared.boundaries))
         self.penetration = np.zeros(len(prepared.pairs))
+        self.corner_depth = np.zeros(len(prepared.pairs))
         self._corners = [master_corners(prepared, k) for k in range(len(prepared.pairs))]
         self._times: list[float] = []
         self._forces: list[Floats] = []
@@ -93,6 +94,7 @@ class Tally:
         for k, pair in enumerate(self._prepared.pairs):
             deepest = np.max(frame.gap[pair.points], initial=0.0)
             corner = deepest_corner(self._corners[k], self._prepared.model.x, frame.u)
+            self.corner_depth[k] = max(self.corner_depth[k], corner)
             self.penetration[k] = max(self.penetration[k], deepest, corner)
         self._times.append(frame.time)
         self._forces.append(np.hypot(*frame.pair_force.T))
@@ -104,6 +106,7 @@ class Tally:
             **kept,
             "peak_reaction": self.peak_reaction.copy(),
             "penetration": self.penetration.copy(),
+            "corner_depth": self.corner_depth.copy(),
             "times": list(self._times),
             "forces": np.array(self._forces).reshape(len(self._times), -1),
             "first": {} if self.first is None else frame_tree(self.first, resumable=False),
@@ -112,7 +115,7 @@ class Tally:
 
     def restore(self, saved: Tree) -> None:
         """Go on from what :meth:`saved` gave."""
-        for name in (*EXTREMES, "_unbalanced", "peak_reaction", "penetration"):
+        for name in (*EXTREMES, "_unbalanced", "peak_reaction", "penetration", "corner_depth"):
             setattr(self, name, saved[name])
         self._times = list(saved["times"])
         self._forces = list(saved["forces"])

@@ -7,6 +7,8 @@ import pytest
 from test_pairs import body, prepared_of
 
 from phantomnode.pipeline.corners import deepest_corner, master_corners
+from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.summary import run_checks
 from phantomnode.pipeline.tally import Tally
 
 WEDGE = {"polyline": {"points": [[1.0, -0.6], [0.13, -0.02], [-1.0, -0.5]]}}
@@ -74,6 +76,9 @@ def test_the_summary_counts_corners(frame_of):
             )  # fmt: skip
         )
     assert tally.penetration[0] == pytest.approx(0.03, abs=1e-12)
+    check = next(c for c in run_checks(prepared, tally) if c.name == "penetration over cell size")
+    assert check.value == pytest.approx(0.3, abs=1e-11) and not check.passed and "count = 4" in check.advice
+    assert initial_gaps(prepared)[0].distance == pytest.approx(0.02, abs=1e-12)  # from the corner to the side
 
 
 def test_self_contact_has_no_corners_of_another():

@@ -57,7 +57,7 @@ def test_inspect_prints_and_draws_what_is_there(
     said = inspected(capsys, drawing(tmp_path / "two.dxf", two_parts))
     for part in (
         "unit mm, size 120 x 40 mm (0.12 x 0.04 m)",
-        "2 regions with 1 holes, 1 other curves",
+        "2 regions with 1 hole, 1 other curve",
         "Plate 1 1 CIRCLE, 1 LWPOLYLINE",
         "1 Plate 1 2321.4602 80 x 30 (0, 0) 1 4 2 boundary, outer, inner, bottom, right, top, left, Plate 1",
         "2 bolt 314.15927 20 x 20 (100, 5) 0 0 2 boundary, outer, bolt",
