@@ -203,7 +203,7 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         if tally.corner_depth[worst] == tally.penetration[worst]:
             advice = (
                 "a sharp corner of the master sank in between two points of the slave: "
-                'take points = { rule = "gauss", count = 4 } for the contact, or smaller cells there'
+                'take smaller cells there, or more points on each segment, as points = { rule = "gauss", count = 4 }'
             )
         checks.append(_below("penetration over cell size", float(deepest), PENETRATION, advice))
     return tuple(checks)
