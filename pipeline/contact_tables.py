@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from phantomnode.pipeline.values import Place, PlaceOrName, Positive, Table, kind_of_value
+from phantomnode.pipeline.values import Place, PlaceOrName, Positive, Switch, Table, kind_of_value
 
 
 class Penalty(Table):
@@ -76,6 +76,11 @@ class Contact(Table):
     )
     passes: Annotated[int, Field(strict=True, ge=1, le=2)] = Field(
         default=1, description="2: the master's points against the slave as well, each at half the penalty"
+    )
+    corners: Switch = Field(
+        default=True,
+        description="sharp corners of either surface are points too, felt from a depth of 0.02 cells on; without "
+        "them a corner can sink in between two points of the slave",
     )
     overlap: Literal["refuse", "offset"] = Field(
         default="refuse", description="what to do where the surfaces overlap at the start"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from phantomnode.geometry.levelset import LevelSet
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import Contact as ContactTable
 from phantomnode.pipeline.contact_tables import Penalty
+from phantomnode.pipeline.corner_points import corner_passes
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.pairing import NOBODY, ContactPass, SlaveSide, master_side, slave_side
 from phantomnode.pipeline.rigid import Rigid
@@ -57,7 +58,9 @@ class Pair:
         Its slave points in the model; ``points_per_segment`` to each segment, in the order of the segments.
     points_per_segment : int
     passes : tuple of int
-        The numbers of its passes in ``model.contact``.
+        The numbers of its passes in ``model.contact``; those of corners are not among them.
+    corners : tuple of int
+        The numbers of the passes of its sharp corners.
     share : int
         Number of times that a closed place of the surfaces bears: 2 where both surfaces have slave points,
         each at half the penalty. The pressure is so many times that of the points of one surface.
@@ -77,6 +80,7 @@ class Pair:
     points: slice
     points_per_segment: int
     passes: tuple[int, ...] = (0,)
+    corners: tuple[int, ...] = ()
     share: int = 1
     friction: float = 0.0
     smoother: tuple[Ints, Ints, Floats] | None = None
@@ -102,7 +106,12 @@ def contact_passes(
         else:
             master = surface(table.master, cut, f"contact.{name}.master")
             ends = [(slave, master), (master, slave)][: table.passes]
-        passes += [_one_pass(case, table, cut, first_node, number, *pair) for pair in ends]
+        mine = [_one_pass(case, table, cut, first_node, number, *pair) for pair in ends]
+        mine[1:] = [replace(each, sign=-1.0) for each in mine[1:]]
+        if table.corners and _owner(table.slave, case) != _owner(table.master, case):
+            penalties = table_share(table) * mine[0].penalty, table_share(table) * mine[0].tangential_penalty
+            mine += corner_passes(mine[0], *ends[0], cut, first_node, table.points, penalties)
+        passes += mine
     return passes
 
 
@@ -181,10 +190,11 @@ def reported_pairs(case: Case, cut: dict[str, CutBody], passes: list[ContactPass
     """The contact pairs with the places of their slave points in the model."""
     pairs, first = [], 0
     for number, (name, table) in enumerate(case.contact.items()):
-        mine = [k for k, each in enumerate(passes) if each.pair == number]
+        every = [k for k, each in enumerate(passes) if each.pair == number]
+        mine = [k for k in every if passes[k].crowd == 0.0]
         sides = [passes[k].slave for k in mine]
         points = slice(first, first + sum(len(side.weight) for side in sides))
-        first = points.stop
+        first += sum(len(passes[k].slave.weight) for k in every)
         width = cut[_owner(table.slave, case)].grid.cell_size
         pairs.append(
             Pair(
@@ -197,6 +207,7 @@ def reported_pairs(case: Case, cut: dict[str, CutBody], passes: list[ContactPass
                 points=points,
                 points_per_segment=table.points.count,
                 passes=tuple(mine),
+                corners=tuple(every[len(mine) :]),
                 share=table_share(table),
                 friction=table.friction,
                 smoother=hat_filter([_segments_along(side, table.points.count) for side in sides], width),
@@ -250,12 +261,14 @@ def offsets(case: Case, cut: dict[str, CutBody], passes: list[ContactPass], mode
     found = np.zeros(len(gaps))
     for k, (name, table) in _passes_with_tables(case, contact):
         points = slice(*contact.slave_first[k : k + 2])
-        depth, middle = np.maximum(gaps[points], 0.0), passes[k].slave.middle
-        inside = _inside(case, cut, table, passes[k], model, k)
+        each = passes[k]
+        depth, middle = np.maximum(gaps[points], 0.0), each.slave.middle
+        found[points] = each.allowed
+        inside = _inside(case, cut, table, each, model, k)
         worst = int(np.argmax(np.maximum(depth, inside)))
         deepest = float(max(depth[worst], inside[worst]))
         here = f"({middle[worst, 0]:.6g}, {middle[worst, 1]:.6g}) m"
-        if deepest <= OVERLAP * cut[_owner(table.slave, case)].grid.cell_size:
+        if deepest <= max(each.allowed, OVERLAP * cut[_owner(table.slave, case)].grid.cell_size):
             continue
         if table.overlap == "refuse":
             raise CaseError(
@@ -268,7 +281,7 @@ def offsets(case: Case, cut: dict[str, CutBody], passes: list[ContactPass], mode
                 f"contact.{name}: {table.slave} lies {deepest:.3g} m deep in {table.master} near {here}, more than "
                 f"half a cell, which no offset can stand for: {_remedy(case, table)}"
             )
-        found[points] = depth
+        found[points] += depth
     return found
 
 
@@ -287,13 +300,12 @@ def _inside(
 ) -> Floats:
     """(g,) Depth of the middles of the slave segments beyond the reach of the search, too, m, by the drawing."""
     middle = each.slave.middle
-    if table.master in case.rigid:
+    if table.master in case.rigid and each.sign > 0.0:
         return _behind(model.contact, k, middle, model.x)
     bodies = [_owner(place, case) for place in (table.slave, table.master)]
     if bodies[0] == bodies[1]:
         return np.zeros(len(middle))
-    second = k > 0 and len(model.contact.pair) > 0 and model.contact.pair[k] == model.contact.pair[k - 1]
-    master = bodies[0 if second else 1]
+    master = bodies[0 if each.sign < 0.0 else 1]
     return np.asarray(LevelSet.of_regions(cut[master].regions).distance(middle))
 
 

@@ -1,25 +1,24 @@
 """How deep sharp corners of a master stand in the slave, between the points that feel contact.
 
-Contact is felt at the points of the slave alone (solver/contact.py), so that a corner of the master can sink in
-between two of them without a force. It should not: the summary tells how deep it does.
+Contact is felt at the points of the slave, and at corners from a small depth on (corner_points.py) unless the case
+does without: the summary tells how deep corners of the master stand whatever feels them.
 """
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from phantomnode.pipeline.corner_points import sharp
+from phantomnode.pipeline.gaps import master_ends
 
 if TYPE_CHECKING:
     from phantomnode.pipeline.prepare import Prepared
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-SHARP = math.radians(20.0)
-"""A master that turns by more at a vertex has a corner there: more than the pieces of an arc over a cell do."""
 
 
 class Corners(NamedTuple):
@@ -37,28 +36,47 @@ class Corners(NamedTuple):
     reach: float
 
 
+class Nearest(NamedTuple):
+    """The segment nearest to each of some places.
+
+    segment (c,); at (c,) parameter along it, beyond 0..1 where an end of it is nearest; distance (c,), m, from the
+    segment; deep (c,) whether the place is on its left, where the material is.
+    """
+
+    segment: Ints
+    at: Floats
+    distance: Floats
+    deep: NDArray[np.bool_]
+
+
+def nearest_along(places: Floats, ends: Floats) -> Nearest:
+    """For (c, 2) places the nearest of the segments with (s, 2, 2) ends, m."""
+    start, along = ends[:, 0], ends[:, 1] - ends[:, 0]
+    off = places[:, None] - start
+    length2 = np.maximum(np.sum(along**2, axis=-1), np.finfo(np.float64).tiny)
+    at = np.sum(off * along, axis=-1) / length2
+    distance = np.hypot(*np.moveaxis(off - np.clip(at, 0.0, 1.0)[..., None] * along, -1, 0))
+    side = along[:, 0] * off[..., 1] - along[:, 1] * off[..., 0]
+    segment = np.argmin(distance, axis=1)
+    at, distance, side = (
+        np.take_along_axis(values, segment[:, None], axis=1)[:, 0] for values in (at, distance, side)
+    )
+    return Nearest(segment, at, distance, side > 0.0)
+
+
 def master_corners(prepared: Prepared, number: int) -> Corners:
     """The corners that stick out of the master of a pair; none in self contact."""
     contact, pair = prepared.model.contact, prepared.pairs[number]
     k = pair.passes[0]
-    masters = np.arange(contact.master_first[k], contact.master_first[k + 1])
-    if len(contact.exclusion) and contact.exclusion[k] > 0.0:
-        masters = masters[:0]
-    masters = masters[contact.following[masters] >= 0]
-    here, onward = (_direction(prepared, which) for which in (masters, contact.following[masters]))
-    turn = np.arctan2(here[:, 0] * onward[:, 1] - here[:, 1] * onward[:, 0], np.sum(here * onward, axis=1))
-    sharp = masters[turn > SHARP]  # the material is on the left
+    first, last = contact.master_first[k : k + 2]
+    own = len(contact.exclusion) > 0 and contact.exclusion[k] > 0.0
+    following = contact.following[first:last]
+    following = np.full_like(following, -1) if own else np.where(following >= 0, following - first, -1)
+    at = first + sharp(master_ends(prepared, k), following)
     return Corners(
-        contact.master_nodes[sharp], contact.end_shape[sharp], pair.segment_nodes, pair.start_shape,
+        contact.master_nodes[at], contact.end_shape[at], pair.segment_nodes, pair.start_shape,
         pair.end_shape, float(contact.reach[k]),
     )  # fmt: skip
-
-
-def _direction(prepared: Prepared, masters: Ints) -> Floats:
-    """(k, 2) From the start to the end of some master segments in the undeformed bodies, m."""
-    contact = prepared.model.contact
-    along = contact.end_shape[masters] - contact.start_shape[masters]
-    return np.asarray(np.einsum("si,sia->sa", along, prepared.model.x[contact.master_nodes[masters]]))
 
 
 def deepest_corner(corners: Corners, x: Floats, u: Floats) -> float:
@@ -72,15 +90,9 @@ def deepest_corner(corners: Corners, x: Floats, u: Floats) -> float:
     """
     if len(corners.nodes) == 0:
         return 0.0
-    place = np.einsum("ci,cia->ca", corners.shape, x[corners.nodes] + u[corners.nodes])[:, None]
+    place = np.einsum("ci,cia->ca", corners.shape, x[corners.nodes] + u[corners.nodes])
     parents = x[corners.segment_nodes] + u[corners.segment_nodes]
     start, end = (np.einsum("si,sia->sa", shape, parents) for shape in (corners.start, corners.end))
-    along, off = end - start, place - start
-    length2 = np.maximum(np.sum(along**2, axis=-1), np.finfo(np.float64).tiny)
-    at = np.sum(off * along, axis=-1) / length2
-    distance = np.hypot(*np.moveaxis(off - np.clip(at, 0.0, 1.0)[..., None] * along, -1, 0))
-    nearest = np.argmin(distance, axis=1)[:, None]
-    at, distance = (np.take_along_axis(values, nearest, axis=1) for values in (at, distance))
-    side = along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0]
-    inside = (np.take_along_axis(side, nearest, axis=1) > 0.0) & (at >= 0.0) & (at <= 1.0)
-    return float(np.max(distance, where=inside & (distance < corners.reach), initial=0.0))
+    near = nearest_along(place, np.stack([start, end], axis=1))
+    inside = near.deep & (near.at >= 0.0) & (near.at <= 1.0) & (near.distance < corners.reach)
+    return float(np.max(near.distance, where=inside, initial=0.0))

@@ -7,7 +7,7 @@ its points where they are at that time; ``displacement`` leads back to where the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,8 +16,9 @@ import numpy as np
 from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree, shown
 from phantomnode.pipeline.clip import ClippedBodies, cell_labels
 from phantomnode.pipeline.contacts import Pair
+from phantomnode.pipeline.corners import nearest_along
 from phantomnode.pipeline.observer import Ending, Sampled
-from phantomnode.pipeline.prepare import Floats, Prepared
+from phantomnode.pipeline.prepare import Floats, Ints, Prepared
 from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.vtu import (
     VTK_LINE,
@@ -228,8 +229,9 @@ def contact_lines(prepared: Prepared, number: int, frame: Frame) -> ContactLines
     """Pressure and gap on the slave segments of a pair (Eq. 25-27).
 
     The solver weighs a slave point with its reference length, eps g w its force; on the current length the
-    same force is the pressure eps g w / (w l / L). Points count by their weights in the means of a segment. Where
-    both surfaces have points at half the penalty, either one shows the pressure that both bear together.
+    same force is the pressure eps g w / (w l / L). Points count by their weights in the means of a segment, and
+    corners count with the segment that is nearest to them. Where both surfaces have points at half the penalty,
+    either one shows the pressure that both bear together.
     """
     pair: Pair = prepared.pairs[number]
     contact = prepared.model.contact
@@ -249,19 +251,43 @@ def contact_lines(prepared: Prepared, number: int, frame: Frame) -> ContactLines
     if pair.friction > 0.0:
         rub = pair.share * frame.tangential[pair.points].reshape(*shape, 2).sum(axis=1)
 
-    touching = closed.sum(axis=1)
-    safe = np.where(touching > 0.0, touching, 1.0)
-    gap = np.where(touching > 0.0, -np.sum(closed * depth, axis=1) / safe, np.nan)
+    touching, sunk = closed.sum(axis=1), np.sum(closed * depth, axis=1)
     normal = np.einsum("sg,sgk->sk", closed, frame.normal[pair.points].reshape(*shape, 2))
+    for segment, shares in _corner_shares(prepared, pair, frame, ends):
+        for values, part in ((force, 0), (smooth, 0), (touching, 1), (sunk, 2)):
+            np.add.at(values, segment, shares[:, part])
+        np.add.at(normal, segment, shares[:, 3:5])
+        np.add.at(rub, segment, shares[:, 5:])
+    gap = np.where(touching > 0.0, -sunk / np.where(touching > 0.0, touching, 1.0), np.nan)
     size = np.hypot(*normal.T)
     normal = normal / np.where(size > 0.0, size, 1.0)[:, None]
     return ContactLines(ends, force * unit, smooth * unit, rub * unit[:, None], gap, normal)
 
 
+def _corner_shares(
+    prepared: Prepared, pair: Pair, frame: Frame, ends: Floats
+) -> Iterator[tuple[Ints, Floats]]:
+    """Closed corners by passes: the slave segment nearest to each, (c,), from the (s, 2, 2) ends, and what it adds.
+
+    The columns (c, 7) are the force, N/m, the weight and its product with the depth, m, that with the normal on the
+    slave, and the friction on the slave, N/m.
+    """
+    contact, x = prepared.model.contact, prepared.model.x + frame.u
+    for k in pair.corners:
+        g = np.arange(*contact.slave_first[k : k + 2])
+        g = g[frame.gap[g] > 0.0]
+        place = np.einsum("ci,cia->ca", contact.slave_shape[g], x[contact.slave_nodes[g]])
+        sunk = contact.slave_weight[g] * frame.gap[g]
+        normal = contact.sign[k] * contact.slave_weight[g, None] * frame.normal[g]
+        friction = contact.sign[k] * frame.tangential[g] if pair.friction > 0.0 else np.zeros((len(g), 2))
+        columns = (contact.penalty[k] * sunk, contact.slave_weight[g], sunk, normal, friction)
+        yield nearest_along(place, ends).segment, np.column_stack(columns)
+
+
 def _smoothed(pair: Pair, force: Floats, length: Floats) -> Floats:
     """(s,) Forces of the segments, N/m, through the hat filter along their (s,) reference lengths, m."""
     if pair.smoother is None:
-        return force
+        return force.copy()
     rows, columns, weights = pair.smoother
     return length * np.bincount(rows, weights * (force / length)[columns], len(force))
 

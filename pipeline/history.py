@@ -139,15 +139,11 @@ def motion_of(prepared: Prepared, body: Body, frame: Frame) -> tuple[float, ...]
 
 
 def tangential_force(prepared: Prepared, pair: Pair, frame: Frame) -> Floats:
-    """(2,) Friction of a pair on its slave, N/m; what the points of a second pass feel is on the master."""
-    first = prepared.model.contact.slave_first
-    signs = (1.0, -1.0)
-    return np.asarray(
-        sum(
-            sign * frame.tangential[first[k] : first[k + 1]].sum(axis=0)
-            for sign, k in zip(signs, pair.passes, strict=False)
-        )
-    )
+    """(2,) Friction of a pair on its slave, N/m; what the points of the master feel is on the master."""
+    contact = prepared.model.contact
+    first, sign = contact.slave_first, contact.sign if len(contact.sign) else np.ones(len(contact.penalty))
+    passes = (*pair.passes, *pair.corners)
+    return np.asarray(sum(sign[k] * frame.tangential[first[k] : first[k + 1]].sum(axis=0) for k in passes))
 
 
 def boundary_force(boundary: Boundary, frame: Frame) -> Floats:

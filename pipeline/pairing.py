@@ -119,6 +119,12 @@ class ContactPass:
     reach : float, m
     exclusion : float, m
         Distance along its own curve within which a point sees nothing; 0 but in self contact.
+    sign : float
+        -1 where the points belong to the master of the pair.
+    crowd : float, m
+        The most weight that can meet at a node of the master where points stand alone; 0 where they line a surface.
+    allowed : float, m
+        The depth up to which points feel nothing.
     """
 
     pair: int
@@ -129,6 +135,9 @@ class ContactPass:
     friction: float
     reach: float
     exclusion: float
+    sign: float = 1.0
+    crowd: float = 0.0
+    allowed: float = 0.0
 
 
 def slave_side(
@@ -287,7 +296,10 @@ def joined_contact(passes: list[ContactPass]) -> Contact:
             friction=numbers("friction"), tangential_penalty=numbers("tangential_penalty")
         )
     if any(a.pair == b.pair for a, b in zip(passes, passes[1:], strict=False)):
-        contact = contact._replace(pair=np.array([each.pair for each in passes], dtype=np.int64))
+        numbers_of_pairs = np.array([each.pair for each in passes], dtype=np.int64)
+        contact = contact._replace(pair=numbers_of_pairs, sign=numbers("sign"))
+    if any(each.crowd > 0.0 for each in passes):
+        contact = contact._replace(crowd=numbers("crowd"))
     if any(each.exclusion > 0.0 for each in passes):
         contact = contact._replace(
             exclusion=numbers("exclusion"),

@@ -201,10 +201,9 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         deepest = tally.penetration[worst] / cells[worst]
         advice = "take a stiffer penalty"
         if tally.corner_depth[worst] == tally.penetration[worst]:
-            advice = (
-                "a sharp corner of the master sank in between two points of the slave: "
-                'take smaller cells there, or more points on each segment, as points = { rule = "gauss", count = 4 }'
-            )
+            felt = bool(prepared.pairs[worst].corners)
+            cure = "take a stiffer penalty or smaller cells" if felt else "leave out corners = false"
+            advice = f"a sharp corner of the master sank in between two points of the slave: {cure}"
         checks.append(_below("penetration over cell size", float(deepest), PENETRATION, advice))
     return tuple(checks)
 

@@ -29,11 +29,10 @@ OPEN = -1e300
 
 @kernel
 def reported(contact: Contact, k: int) -> tuple[int, float]:
-    """The number under which pair k is reported, and the sign of its forces there: -1 in a second pass."""
+    """The number under which pass k is reported, and the sign of its forces: -1 where its points are the master's."""
     if len(contact.pair) == 0:
         return k, 1.0
-    second = k > 0 and contact.pair[k - 1] == contact.pair[k]
-    return contact.pair[k], -1.0 if second else 1.0
+    return contact.pair[k], contact.sign[k]
 
 
 @kernel
@@ -226,7 +225,7 @@ def reference_length(contact: Contact) -> Floats:
 
 
 def pairs_of(contact: Contact) -> int:
-    """Number of pairs that are reported: two passes count as one."""
+    """Number of pairs that are reported: all passes of a pair count as one."""
     return len(contact.penalty) if len(contact.pair) == 0 else int(contact.pair[-1]) + 1
 
 

@@ -170,8 +170,11 @@ class Contact(NamedTuple):
     slave point that counts as no penetration (an overlap at the start).
 
     What follows is empty where no pair makes use of it. friction (k,) Coulomb's coefficient, and
-    tangential_penalty (k,), Pa/m, of the stick; pair (k,): where a pair is tested in two passes, each of them is
-    a pair k here, one behind the other, and pair[k] is the number under which both are reported; exclusion (k,),
+    tangential_penalty (k,), Pa/m, of the stick; pair (k,): where a pair is tested in several passes, each of them is
+    a pair k here, one behind the other, and pair[k] is the number under which all are reported, with the sign (k,)
+    of their forces: -1 where the points of a pass belong to the pair's master; crowd (k,), m: of a pass whose points
+    stand alone (sharp corners), the most weight that can stand on one node of its masters, 0 where points line the
+    surface; exclusion (k,),
     m: in self contact a point does not see the segments within this distance from it along its own curve, and
     less of them up to twice as far (0 elsewhere), with slave_place (g, 2) number of the curve and distance along
     it, m, and master_place (s, 4) number of the curve, distance along it at the middle of the segment, half the
@@ -196,6 +199,8 @@ class Contact(NamedTuple):
     friction: Floats = NONE
     tangential_penalty: Floats = NONE
     pair: Ints = NOBODY
+    sign: Floats = NONE
+    crowd: Floats = NONE
     exclusion: Floats = NONE
     slave_place: Floats = NOWHERE
     master_place: Floats = np.zeros((0, 4))

@@ -185,26 +185,52 @@ def contact_rates(model: Model) -> Floats:
     """(n,) Bound on what the penalty springs add to the eigenvalues at each node, 1/s^2, with all points closed.
 
     A point adds eps w to the stiffness of its slave and of its master side. (a - b)^2 <= (1 + q) a^2 + (1 + 1/q)
-    b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. Rows of shape functions
-    bound each side. Beside the tip of a crack the nodes that both faces have in common feel nothing of a point, and
-    the part J of the shape functions that is left squares with the weight w/J to no more than w. Weak supports have
-    one side only.
+    b^2 parts the two for any q > 0; that of the ratio of the sides makes their sum of it. A side that is rigid does
+    not swing, and nothing is to be parted there. Rows of shape functions bound each side. Beside the tip of a crack
+    the nodes that both faces have in common feel nothing of a point, and the part J of the shape functions that is
+    left squares with the weight w/J to no more than w. Weak supports have one side only.
     """
     contact, n = model.contact, len(model.mass)
     penalty, length = _spring_stiffness(contact), reference_length(contact)
-    slave = np.zeros(n)
-    by_point = np.repeat(penalty, np.diff(contact.slave_first)) * length
-    np.add.at(slave, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
-    master = _master_rows(model, penalty, length)
-    heavy = model.mass > 0.0  # the nodes of rigid obstacles have none, and do not swing
-    held = np.max(support_stiffness(model.supports, n), axis=1)
-    slave, master, held = (
-        np.where(heavy, side / np.where(heavy, model.mass, 1.0), 0.0) for side in (slave, master, held)
+    one_sided = _one_sided(model)
+    held = _by_mass(model, np.max(support_stiffness(model.supports, n), axis=1))
+    parted, alone = (
+        [_by_mass(model, rows(model, np.where(one_sided == which, penalty, 0.0), length)) for rows in SIDES]
+        for which in (False, True)
     )
+    slave, master = parted
+    found = alone[0] + alone[1] + held
     if not np.max(slave, initial=0.0) > 0.0 or not np.max(master) > 0.0:
-        return slave + master + held  # nothing to part: one side is rigid, or there is no contact
+        return np.asarray(slave + master + found)
     ratio = np.max(master) / np.max(slave)
-    return np.asarray((1.0 + ratio) * slave + (1.0 + 1.0 / ratio) * master + held)
+    return np.asarray((1.0 + ratio) * slave + (1.0 + 1.0 / ratio) * master + found)
+
+
+def _one_sided(model: Model) -> NDArray[np.bool_]:
+    """(k,) Whether the points of a pass or its masters belong to a rigid obstacle, whose nodes have no mass."""
+    contact = model.contact
+    sides = (contact.slave_nodes, contact.slave_first), (contact.master_nodes, contact.master_first)
+    return np.array(
+        [
+            any(not np.any(model.mass[nodes[first[k] : first[k + 1]]] > 0.0) for nodes, first in sides)
+            for k in range(len(contact.penalty))
+        ],
+        dtype=bool,
+    )
+
+
+def _by_mass(model: Model, rows: Floats) -> Floats:
+    """(n,) Over the nodal masses; zero on the nodes of rigid obstacles, which have none and do not swing."""
+    heavy = model.mass > 0.0
+    return np.where(heavy, rows / np.where(heavy, model.mass, 1.0), 0.0)
+
+
+def _slave_rows(model: Model, penalty: Floats, length: Floats) -> Floats:
+    """(n,) Sum of eps w N_I over the slave points, N/m^2."""
+    contact, rows = model.contact, np.zeros(len(model.mass))
+    by_point = np.repeat(penalty, np.diff(contact.slave_first)) * length
+    np.add.at(rows, contact.slave_nodes, by_point[:, None] * contact.slave_shape)
+    return rows
 
 
 def _master_rows(model: Model, penalty: Floats, length: Floats) -> Floats:
@@ -216,21 +242,34 @@ def _master_rows(model: Model, penalty: Floats, length: Floats) -> Floats:
     over each of which points weigh what it is long and at most one point more. The lesser of the two counts: the
     first where a segment is in many pieces, the second where N_I is one hat. At a free end, beyond which points
     may stand, all of one point is added, and N_I falls to zero and once more as far.
+
+    Points that stand alone, at corners, weigh together no more than the crowd of them that one node can meet, and
+    N_I is at no place of a segment more than at one of its ends.
     """
     contact, n = model.contact, len(model.mass)
     start, end, nodes = contact.start_shape, contact.end_shape, contact.master_nodes
+    crowd = contact.crowd if len(contact.crowd) else np.zeros(len(penalty))
+    lining = np.where(crowd > 0.0, 0.0, penalty)
     along = np.einsum("si,sia->sa", end - start, model.x[nodes])
     segments, points = np.diff(contact.master_first), np.diff(contact.slave_first)
     heaviest = np.zeros(len(penalty))
     np.maximum.at(heaviest, np.repeat(np.arange(len(penalty)), points), length)
-    half, heavier = (np.repeat(k, segments)[:, None] for k in (0.5 * penalty, penalty * heaviest))
+    half, heavier = (np.repeat(k, segments)[:, None] for k in (0.5 * lining, lining * heaviest))
     opens, closes = ((link < 0)[:, None] for link in (contact.previous, contact.following))
     integral, hats, variation = np.zeros((3, n))
     np.add.at(integral, nodes, half * np.hypot(*along.T)[:, None] * (start + end))
     np.add.at(hats, nodes, heavier * (np.where(opens, 1.0, 0.5) * start + np.where(closes, 1.0, 0.5) * end))
     ends = np.where(opens, 2.0 * start, 0.0) + np.where(closes, 2.0 * end, 0.0)
     np.add.at(variation, nodes, heavier * (np.abs(end - start) + ends))
-    return np.asarray(integral + np.minimum(hats, variation))
+    found = integral + np.minimum(hats, variation)
+    for k in np.flatnonzero(penalty * crowd):
+        masters, largest = slice(*contact.master_first[k : k + 2]), np.zeros(n)
+        np.maximum.at(largest, nodes[masters], np.maximum(start, end)[masters])
+        found += penalty[k] * crowd[k] * largest
+    return np.asarray(found)
+
+
+SIDES = (_slave_rows, _master_rows)
 
 
 def _spring_stiffness(contact: Contact) -> Floats:

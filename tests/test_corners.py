@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from test_pairs import body, prepared_of
+from test_pairs import body, prepared_of, run
 
 from phantomnode.pipeline.corners import deepest_corner, master_corners
+from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.fields import contact_lines
 from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.history import tangential_force
 from phantomnode.pipeline.summary import run_checks
 from phantomnode.pipeline.tally import Tally
+from phantomnode.solver.contact import add_contact_forces, contact_energy
+from phantomnode.solver.layout import prepare_layout
+from phantomnode.solver.leapfrog import initial_state
+from phantomnode.solver.search import build_candidates, prepare_search
 
 WEDGE = {"polyline": {"points": [[1.0, -0.6], [0.13, -0.02], [-1.0, -0.5]]}}
 
 
-def over(obstacle, **more):
+def over(obstacle, **pair):
     """A square of 0.8 m, its lower side at y = 0, above an obstacle with the material on its left."""
     block = body({"rectangle": {"low": [-0.4, 0.0], "high": [0.4, 0.8]}}, 0.1, aligned=True)
     return prepared_of(
         body={"block": block},
-        rigid={"below": {"geometry": obstacle, **more}},
-        contact={"landing": {"slave": "block.bottom", "master": "below"}},
+        rigid={"below": {"geometry": obstacle}},
+        contact={"landing": {"slave": "block.bottom", "master": "below"} | pair},
     )
 
 
@@ -62,7 +71,7 @@ def test_only_sharp_corners_that_stick_out_count(obstacle, count):
 
 
 def test_the_summary_counts_corners(frame_of):
-    prepared = over(WEDGE)
+    prepared = over(WEDGE, corners=False)
     tally = Tally(prepared)
     points = len(prepared.model.contact.slave_weight)
     for step, down in enumerate((0.0, -0.05, -0.03)):
@@ -77,7 +86,11 @@ def test_the_summary_counts_corners(frame_of):
         )
     assert tally.penetration[0] == pytest.approx(0.03, abs=1e-12)
     check = next(c for c in run_checks(prepared, tally) if c.name == "penetration over cell size")
-    assert check.value == pytest.approx(0.3, abs=1e-11) and not check.passed and "count = 4" in check.advice
+    assert (
+        check.value == pytest.approx(0.3, abs=1e-11)
+        and not check.passed
+        and "corners = false" in check.advice
+    )
     assert initial_gaps(prepared)[0].distance == pytest.approx(0.02, abs=1e-12)  # from the corner to the side
 
 
@@ -85,3 +98,154 @@ def test_self_contact_has_no_corners_of_another():
     square = body({"rectangle": {"low": [0.0, 0.0], "high": [1.0, 1.0]}}, 0.1, aligned=True)
     prepared = prepared_of(body={"a": square}, contact={"own": {"slave": "a.outer", "master": "a.outer"}})
     assert len(master_corners(prepared, 0).nodes) == 0
+
+
+# --- corners as points of contact -------------------------------------------------------------------------
+
+UP = {"polyline": {"points": [[1.0, -0.6], [0.13, -0.02], [-1.0, -0.5]]}}
+CELL, DEEP = 0.1, 0.02 * 0.1  # the cell of the block, and how deep a corner stands before it is felt
+
+
+def landing(obstacle=UP, geometry=None, slave="block.bottom", step=None, end=0.03, **pair):
+    """The block falls with 1 m/s on an obstacle; the frames of every step."""
+    table = body(
+        geometry or {"rectangle": {"low": [-0.4, 0.0], "high": [0.4, 0.8]}}, CELL, aligned=geometry is None
+    )
+    prepared = prepared_of(
+        end=end,
+        body={"block": table | {"initial_velocity": [0.0, -1.0]}},
+        rigid={"below": {"geometry": obstacle}},
+        contact={"landing": {"slave": slave, "master": "below"} | pair},
+    )
+    return prepared if step is None else replace(prepared, dt=step)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.013, 0.037, 0.05])
+def test_a_wedge_is_felt_wherever_it_meets_a_slave_segment(shift):
+    """Gap 0.02 at 1 m/s: felt after 0.02 s and what a corner may stand deep, 0.002, at most, and two samples.
+
+    Gauss points alone feel it up to 4e-2 later, as it stands between two of them. It never goes much deeper.
+    """
+    points = [[x + shift, y] for x, y in UP["polyline"]["points"]]
+    prepared = landing({"polyline": {"points": points}}, end=0.05)
+    seen = run(prepared, 1000)
+    touched = next(f.time for f in seen if f.pair_force[0, 1] > 0.0)
+    assert 0.02 < touched < 0.02 + DEEP + 2.5 * (0.05 / 1000 + prepared.dt)
+    tally = Tally(prepared)
+    for frame in seen:
+        tally.frame(frame)
+    assert DEEP < tally.corner_depth[0] < 0.15 * CELL
+
+
+def test_a_corner_of_the_slave_is_felt_first():
+    """A square on its tip: its corner touches the plane, not the Gauss point a fifth of a segment beside it."""
+    tip = {"polygon": {"points": [[0.0, 0.011], [0.4, 0.411], [0.0, 0.811], [-0.4, 0.411]]}}
+    floor = {"polyline": {"points": [[1.0, 0.0], [-1.0, 0.0]]}}
+    prepared = landing(floor, tip, "block.outer")
+    seen = run(prepared, 600)
+    touched = next(f.time for f in seen if f.pair_force[0, 1] > 0.0)
+    deep = 0.02 * prepared.bodies[0].grid.typical_size
+    assert touched == pytest.approx(0.011 + deep, abs=2.5 * (0.03 / 600 + prepared.dt))
+
+
+def test_corner_forces_are_the_slope_of_an_energy_and_leave_momentum_alone():
+    """Against central differences, the wedge a body of its own; forces and moments of all nodes add up to nothing."""
+    spike = {"polygon": {"points": [[0.13, 0.012], [-0.2, -0.5], [0.5, -0.5]]}}
+    prepared = prepared_of(
+        body={
+            "block": body({"rectangle": {"low": [-0.4, 0.0], "high": [0.4, 0.8]}}, CELL, aligned=True),
+            "spike": body(spike, 0.07),
+        },
+        contact={"pair": {"slave": "block.bottom", "master": "spike.outer", "overlap": "offset"}},
+    )
+    contact = prepared.model.contact
+    model = prepared.model._replace(contact=contact._replace(offset=0.0 * contact.offset))
+    assert len(prepared.pairs[0].corners) == 2
+    rng = np.random.default_rng(5)
+    u = 1e-4 * rng.normal(size=model.x.shape)
+
+    def state_at(u):
+        state = initial_state(model, np.zeros_like(model.x), prepare_layout(model))
+        state.u[:] = u
+        candidates = build_candidates(model.contact, prepare_search(model.contact), model.x, state.u)
+        force = np.zeros_like(model.x)
+        add_contact_forces(
+            model.contact, candidates, model.x, state.u, force, state.pair_force, state.gap, state.normal
+        )
+        return force, contact_energy(model.contact, state.gap), state.gap
+
+    force, _, gap = state_at(u)
+    tip = slice(*model.contact.slave_first[prepared.pairs[0].corners[0] :][:2])
+    assert gap[tip].max() > 0.01
+    np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-12 * np.abs(force).max())
+    x = model.x + u
+    moment = x[:, 0] * force[:, 1] - x[:, 1] * force[:, 0]
+    assert abs(moment.sum()) < 1e-12 * np.abs(moment).max()
+    for node in np.flatnonzero(np.any(force != 0.0, axis=1)):
+        for axis in (0, 1):
+            step = np.zeros_like(u)
+            step[node, axis] = 1e-8
+            slope = (state_at(u + step)[1] - state_at(u - step)[1]) / 2e-8
+            assert -slope == pytest.approx(force[node, axis], abs=1e-6 * np.abs(force).max())
+
+
+def test_corners_show_in_the_pressure_of_the_nearest_segment():
+    """Pressure times length adds up to the force of the pair, 2 % for the one normal that each segment has."""
+    prepared = landing()
+    frame = run(prepared, 600)[-1]
+    lines = contact_lines(prepared, 0, frame)
+    length = np.hypot(*(lines.ends[:, 1] - lines.ends[:, 0]).T)
+    force = (lines.pressure * length)[:, None] * lines.normal
+    assert frame.pair_force[0, 1] > 0.0
+    assert force[:, 1].sum() == pytest.approx(frame.pair_force[0, 1], rel=0.02)
+    assert np.nanmin(lines.gap) < 0.0
+
+
+def test_friction_of_a_corner_acts_on_the_slave_as_that_of_points():
+    """The obstacle moves to the right under the block: momentum of the block is the impulse it gets, in x too."""
+    moving = {"geometry": UP, "velocity": {"x": 0.3}}
+    prepared = prepared_of(
+        end=0.04,
+        body={
+            "block": body({"rectangle": {"low": [-0.4, 0.0], "high": [0.4, 0.8]}}, CELL, aligned=True)
+            | {"initial_velocity": [0.0, -1.0]}
+        },
+        rigid={"below": moving},
+        contact={"landing": {"slave": "block.bottom", "master": "below", "friction": 0.3}},
+    )
+    frame = run(prepared, 200)[-1]
+    gained = prepared.model.mass @ frame.v
+    assert frame.pair_impulse[0, 0] > 0.0
+    assert gained[0] == pytest.approx(frame.pair_impulse[0, 0], rel=1e-9)
+    tally = tangential_force(prepared, prepared.pairs[0], frame)
+    assert abs(tally[0]) <= 0.31 * np.hypot(*frame.pair_force[0])
+
+
+def test_a_case_can_do_without_points_at_corners():
+    without = landing(corners=False)
+    assert without.pairs[0].corners == () and len(without.model.contact.crowd) == 0
+    assert len(landing().pairs[0].corners) == 2  # the tip of the wedge, and the ends of the lower side
+
+
+def test_corners_that_can_meet_on_one_node_share_their_weight():
+    """Three tips within a cell weigh no more than one; ten cells apart each has its own."""
+
+    def weights(distance):
+        tips = [[0.0, 0.0], [0.01, -0.2]]
+        points = [[1.2, -0.6]]
+        for k in (1, 0, -1):
+            points += [[tips[0][0] + k * distance, -0.02], [k * distance - 0.4 * distance, -0.02 - distance]]
+        prepared = landing({"polyline": {"points": [*points[:-1], [-1.2, -0.6]]}})
+        contact, k = prepared.model.contact, prepared.pairs[0].corners[0]
+        return contact.slave_weight[contact.slave_first[k] : contact.slave_first[k + 1]], contact.crowd[k]
+
+    near, crowd = weights(0.04)
+    assert len(near) == 3 and crowd == pytest.approx(0.05 * CELL) == pytest.approx(near.sum())
+    far, crowd = weights(0.45)
+    assert len(far) == 3 and np.allclose(far, 0.05 * CELL) and crowd == pytest.approx(0.05 * CELL)
+
+
+def test_a_corner_far_inside_at_the_start_is_refused():
+    deep = {"polyline": {"points": [[0.177, -0.6], [0.157, 0.03], [0.137, -0.6]]}}
+    with pytest.raises(CaseError, match="overlap at the start by 0.03 m near .0.157, 0.03."):
+        landing(deep)

@@ -322,5 +322,5 @@ def test_second_passes_are_reported_with_their_first():
     """Pairs 0 and 1 are the two passes of one pair, 2 stands alone; without two passes each is its own."""
     contact = contact_of_none()
     assert [reported(contact, k) for k in range(3)] == [(0, 1.0), (1, 1.0), (2, 1.0)]
-    contact = contact._replace(pair=np.array([0, 0, 1]))
+    contact = contact._replace(pair=np.array([0, 0, 1]), sign=np.array([1.0, -1.0, 1.0]))
     assert [reported(contact, k) for k in range(3)] == [(0, 1.0), (0, -1.0), (1, 1.0)]

@@ -93,11 +93,11 @@ def test_a_flat_patch_bears_the_same_pressure_by_every_rule(points):
     u[prepared.bodies[1].nodes, 1] = -1e-3
     frame = run(prepared, 1)[0]._replace(u=u)
     contact = prepared.model.contact
-    depth = np.full(len(contact.slave_weight), 1e-3)
+    depth = 1e-3 - contact.offset  # corners are open: they feel less than they are allowed
     lines = contact_lines(prepared, 0, frame._replace(gap=depth))
     np.testing.assert_allclose(lines.pressure, contact.penalty[0] * 1e-3, rtol=1e-12)
     np.testing.assert_allclose(lines.filtered, lines.pressure, rtol=1e-12)
-    assert contact.slave_weight.sum() == pytest.approx(1.0, rel=1e-12)
+    assert contact.slave_weight[prepared.pairs[0].points].sum() == pytest.approx(1.0, rel=1e-12)
 
 
 def test_two_passes_bear_what_one_does():
@@ -184,6 +184,7 @@ def test_a_rigid_plane_is_a_very_stiff_block():
         "boundary": {"base": {"on": "floor.bottom", "displacement": {"x": 0.0, "y": 0.0}}},
     }
     meshed = prepare(case_from_table(table))
+    rigid = replace(rigid, dt=meshed.dt)  # a flat impact of five cells errs by a percent at the stable step
     impulse = [run(p, 50)[-1].pair_impulse[0, 1] for p in (rigid, meshed)]
     peak = [max(f.pair_impulse[0, 1] for f in run(p, 50)) for p in (rigid, meshed)]
     assert impulse[0] == pytest.approx(impulse[1], rel=0.01)

@@ -56,7 +56,8 @@ def points_of(case: Prepared) -> np.ndarray:
 
 def test_a_side_is_the_slave_and_the_whole_outline_the_master() -> None:
     """The slave is the named side alone; the master closes around its body, or points fall off its end."""
-    case = prepared({"upper": UPPER, "lower": LOWER}, contact=contact("upper.bottom", "lower.top"))
+    pair = contact("upper.bottom", "lower.top", corners=False)
+    case = prepared({"upper": UPPER, "lower": LOWER}, contact=pair)
     points, c = points_of(case), case.model.contact
     assert np.allclose(points[:, 1], 1.0, atol=1e-6) and len(points) == 2 * 4  # two Gauss points an edge
     assert c.slave_weight.sum() == pytest.approx(1.0)
@@ -172,12 +173,17 @@ def test_an_overlap_at_the_start_is_refused_or_measured_from() -> None:
     case = prepared(
         {"upper": sunk, "lower": LOWER}, contact=contact("upper.bottom", "lower.top", overlap="offset")
     )
-    assert np.allclose(case.model.contact.offset, 0.05, rtol=1e-6)
+    offset = case.model.contact.offset
+    assert np.allclose(offset[case.pairs[0].points], 0.05, rtol=1e-6)
+    below, above = (slice(*case.model.contact.slave_first[k : k + 2]) for k in case.pairs[0].corners)
+    assert np.allclose(offset[below], 0.02 * 0.25) and np.allclose(
+        offset[above], 0.05 + 0.02 * 0.25, rtol=1e-6
+    )
 
 
 def test_surfaces_that_only_touch_have_no_offset() -> None:
     case = prepared({"upper": UPPER, "lower": LOWER}, contact=contact("upper.bottom", "lower.top"))
-    assert not case.model.contact.offset.any()
+    assert not case.model.contact.offset[case.pairs[0].points].any()
 
 
 def test_bodies_on_a_shared_grid_have_nodes_of_their_own() -> None:

@@ -1,0 +1,175 @@
+"""Sharp corners of the surfaces of a contact pair as points of contact of their own.
+
+Slave points stand between the ends of the segments: a corner of the master sinks in between two of them before any
+is felt, and a corner of the slave goes a fifth of a cell deep before its nearest point touches. Corners are
+therefore points as well, those of either surface against the other. A corner weighs as much as the end point of a
+two-point Radau rule, a quarter of a cell, and is felt from a small depth on only: where surfaces lie flat on each
+other the other points bear all, so that a constant pressure stays constant.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phantomnode.geometry.bilinear import shape
+from phantomnode.pipeline.bodies import CutBody
+from phantomnode.pipeline.contact_tables import SlavePoints
+from phantomnode.pipeline.pairing import NOBODY, ContactPass, MasterSide, SlaveSide, master_side
+from phantomnode.pipeline.rigid import Rigid
+from phantomnode.pipeline.surfaces import Surface, closed_surface
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SHARP = math.radians(20.0)
+"""A surface that turns by more at a vertex has a corner there: more than the pieces of an arc over a cell do."""
+
+
+WEIGHT = 0.05
+"""Of a corner, in cells of the slave."""
+
+ALLOWED = 0.02
+"""Depth, in cells of the slave, up to which a corner feels nothing: what a pressure of E/10 takes at the automatic
+penalty, 5 E/h."""
+
+MEETING = 3.0
+"""Corners that are nearer to each other than this, in diagonals of the largest cell on the other surface, can stand
+on one node: the cells around it take two, and surfaces move towards each other."""
+
+
+class CornerPoints(NamedTuple):
+    """Sharp corners that stick out of a surface: nodes (c, 4), shape (c, 4) at the corner, place (c, 2), m."""
+
+    nodes: Ints
+    shape: Floats
+    place: Floats
+
+
+def sharp(ends: Floats, following: Ints) -> Ints:
+    """Numbers of the segments that end at a sharp corner which sticks out.
+
+    Parameters
+    ----------
+    ends : (s, 2, 2) float64, metres
+        Start and end of each segment, the material on its left.
+    following : (s,) int64
+        The segment that goes on from each, -1 where there is none.
+    """
+    along = ends[:, 1] - ends[:, 0]
+    here = np.flatnonzero(following >= 0)
+    (ax, ay), (bx, by) = along[here].T, along[following[here]].T
+    turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
+    return np.asarray(here[turn > SHARP])
+
+
+def corner_passes(
+    main: ContactPass,
+    slave: Surface,
+    master: Surface | Rigid,
+    cut: dict[str, CutBody],
+    first_node: dict[str, int],
+    points: SlavePoints,
+    penalties: tuple[float, float],
+) -> list[ContactPass]:
+    """The passes of the corners of the master against the slave and of those of the slave against the master.
+
+    Parameters
+    ----------
+    main : ContactPass
+        That of the slave's points against the master.
+    slave, master : Surface, Surface or Rigid
+        Of different bodies.
+    cut, first_node : dict
+        The cut bodies by name, and where their nodes begin in the model.
+    points : SlavePoints
+        The rule by which segments are divided.
+    penalties : (float, float), Pa/m
+        The normal and the tangential one.
+    """
+    body = cut[slave.body]
+    around = closed_surface(body.mesh.segments, slave.segments, NOBODY)
+    cell, found = body.grid.typical_size, []
+    if isinstance(master, Rigid):
+        theirs, widest = rigid_corners(master), 0.0
+    else:
+        other = cut[master.body]
+        closed = closed_surface(other.mesh.segments, master.segments, NOBODY)
+        theirs, widest = body_corners(other, closed, first_node[master.body]), _widest(other, closed)
+    mine = body_corners(body, slave.segments, first_node[slave.body])
+    if len(theirs.nodes):
+        surface = master_side(around, body, first_node[slave.body], points)
+        found.append(_one_pass(main, theirs, surface, cell, _widest(body, around), penalties, -1.0))
+    if len(mine.nodes):
+        found.append(_one_pass(main, mine, main.master, cell, widest, penalties, 1.0))
+    return found
+
+
+def rigid_corners(rigid: Rigid) -> CornerPoints:
+    """Those of an obstacle."""
+    at = rigid.segments[sharp(rigid.xy[rigid.segments], rigid.following), 1]
+    nodes = np.repeat(at[:, None] + rigid.nodes.start, 4, axis=1)
+    return CornerPoints(nodes, np.repeat(np.eye(4)[:1], len(at), axis=0), rigid.xy[at])
+
+
+def body_corners(body: CutBody, chosen: Ints, first_node: int) -> CornerPoints:
+    """Those at an end of any of the chosen segments of a body, by their numbers (s,) in ``mesh.segments``."""
+    mesh, segments = body.mesh, body.mesh.segments
+    at = sharp(segments.ends, segments.following)
+    at = at[np.isin(at, chosen) | np.isin(segments.following[at], chosen)]
+    nodes = mesh.nodes(segments.element[at]) + first_node
+    return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1])
+
+
+def _one_pass(
+    main: ContactPass,
+    corners: CornerPoints,
+    surface: MasterSide,
+    cell: float,
+    widest: float,
+    penalties: tuple[float, float],
+    sign: float,
+) -> ContactPass:
+    """Corners against a surface, at the full penalty: no other points stand where they stand."""
+    near = np.linalg.norm(corners.place[:, None] - corners.place, axis=2) <= MEETING * widest
+    weight = WEIGHT * cell / near.sum(axis=1)
+    return replace(
+        main,
+        slave=_lone_points(corners, weight),
+        master=surface,
+        penalty=penalties[0],
+        tangential_penalty=penalties[1],
+        sign=sign,
+        crowd=float(np.max(near @ weight)),
+        allowed=ALLOWED * cell,
+    )
+
+
+def _lone_points(corners: CornerPoints, weight: Floats) -> SlaveSide:
+    """Corners as slave points without segments, (c,) weights in m."""
+    count = len(weight)
+    none, nothing = np.zeros((0, 4)), np.zeros(0)
+    return SlaveSide(
+        nodes=np.zeros((0, 4), dtype=np.int64),
+        start=none,
+        end=none,
+        points=corners.nodes,
+        point_shape=corners.shape,
+        weight=weight,
+        jump=np.ones(count),
+        place=np.column_stack([np.full(count, -1.0), np.zeros(count)]),
+        half_way=nothing,
+        whole=nothing,
+        middle=corners.place,
+    )
+
+
+def _widest(body: CutBody, chosen: Ints) -> float:
+    """The longest diagonal of the cells on a surface, m."""
+    mesh = body.mesh
+    x = mesh.xy[mesh.nodes(mesh.segments.element[chosen])]
+    return float(np.max(np.linalg.norm(x[:, :2] - x[:, 2:], axis=2)))
