@@ -208,8 +208,12 @@ def curves_of(
         curves, notes = (*drawing.curves, *loops), drawing.notes
     elif geometry.polyline is not None:
         curves = (shapes.polyline(geometry.polyline.points),)
+    elif geometry.rectangle is not None:
+        curves = (shapes.rectangle(geometry.rectangle.low, geometry.rectangle.high).outer,)
     elif geometry.circle is not None:
         curves = (shapes.circle(geometry.circle.centre, geometry.circle.radius).outer,)
+    elif geometry.polygon is not None:
+        curves = (shapes.polygon(geometry.polygon.points).outer,)
     else:
         assert geometry.function is not None  # the schema asks for exactly one source
         curves = (_graph(geometry.function, geometry.x, regions),)

@@ -48,11 +48,11 @@ def plot(
             consume_multiple=True,
             negative=(),
             show_default=False,
-            help='Of fields and contact_pressure: "4.5 ms" or 0.0045, start, end, or peak (of the internal energy), '
-            "which is taken unless given; several give a picture of a field each, and curves of the pressure in "
-            "one. The nearest frame is drawn.",
+            help='Of fields and contact_pressure: "4.5 ms" or 0.0045, start, end, or peak (of the internal energy); '
+            "several give a picture of a field each, and curves of the pressure in one. The nearest frame is drawn. "
+            "Unless given, fields are drawn at the peak, and the pressure at some times while the pair bears.",
         ),
-    ] = ("peak",),
+    ] = (),
     out: Annotated[
         Path | None,
         Parameter(help="A file that ends in .png, .svg or .pdf, or a folder; that of the run unless given."),

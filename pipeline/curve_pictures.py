@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Curves = Mapping[str, Floats]
 
+BEARING = 4
+"""Curves in the picture of the contact pressure, where no times are asked for."""
 BESIDE = 0.15
 """Of the length of the touched stretch of a surface, shown on either side of it."""
 ENERGIES = {
@@ -67,6 +69,18 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
     axes.legend(frameon=False, fontsize=9)
     axes.grid(alpha=0.3)
     return figure
+
+
+def bearing_times(results: Results, pair: str) -> list[float]:
+    """Times of frames, s, in which a pair bears, spread over its contact, and that of the largest force."""
+    history = results.history
+    size = np.hypot(history[f"contact.{pair}.fx"], history[f"contact.{pair}.fy"])
+    force = np.interp(results.times, history.time, size)
+    bearing = np.flatnonzero(force > 0.01 * force.max()) if force.max() > 0.0 else np.zeros(0, dtype=int)
+    if len(bearing) == 0:
+        return []
+    spread = bearing[np.linspace(0, len(bearing) - 1, BEARING).astype(int)]
+    return [float(results.times[k]) for k in sorted({*spread.tolist(), int(np.argmax(force))})]
 
 
 def surfaces_of(results: Results, pair: str) -> str:
@@ -171,10 +185,16 @@ def histories_of(results: Results) -> list[str]:
     """Those of ``HISTORIES`` that a run has: not every case has contact pairs or boundaries."""
     there = {
         "forces": bool(results.pairs),
-        "reactions": bool(results.history.names("reaction.")),
+        "reactions": bool(_held(results)),
         "quality": "dt" in results.summary,
     }
     return [what for what in HISTORIES if there.get(what, True)]
+
+
+def _held(results: Results) -> list[str]:
+    """Columns of reactions but those of obstacles, which bear what their contact pairs give them."""
+    obstacles = results.table.get("rigid", {})
+    return [name for name in results.history.names("reaction.") if name.split(".")[1] not in obstacles]
 
 
 def energies(history: History) -> dict[str, Floats]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.curve_pictures import HISTORIES, draw_history, draw_pressure
+from phantomnode.pipeline.curve_pictures import HISTORIES, bearing_times, draw_history, draw_pressure
 from phantomnode.pipeline.drawing import FORMATS, moment, save
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.field_pictures import Limits, draw_field
@@ -123,6 +123,8 @@ def plot_files(
 
     Parameters
     ----------
+    times : sequence of float, s, or "start", "peak", "end"
+        Empty: fields at the peak, and the contact pressure at some times at which the pair bears.
     out : Path, optional
         A file, where it ends in .png, .svg or .pdf (numbered where there are several pictures), else a folder; that
         of the run unless given.
@@ -138,16 +140,24 @@ def plot_files(
         Where something asked for does not exist.
     """
     written = []
-    wanted = [(one, [time]) for one in what if one in QUANTITIES for time in times]
-    wanted += [(one, list(times)) for one in what if one not in QUANTITIES]
+    wanted = [(one, [time]) for one in what if one in QUANTITIES for time in times or ("peak",)]
+    wanted += [(one, list(times) or _own_times(results, one, pair)) for one in what if one not in QUANTITIES]
     for number, (one, at) in enumerate(wanted):
         path = _path_of(results, one, at, out, number, len(wanted))
         figure = picture(results, one, at, pair=pair, limits=limits, box=box)
         path.parent.mkdir(parents=True, exist_ok=True)
         save(figure, path)
         timed = one in QUANTITIES or one == PRESSURE
-        written.append((path, _not_asked_for(results, at) if timed else ""))
+        written.append((path, _said_of(results, at) if timed else ""))
     return written
+
+
+def _own_times(results: Results, what: str, pair: str | None) -> list[Time]:
+    """The times of a picture where none are asked for: of the contact pressure those at which the pair bears."""
+    name = pair or (results.pairs[0] if results.pairs else None)
+    if what != PRESSURE or name not in results.pairs:
+        return ["peak"]
+    return [*bearing_times(results, name)] or ["peak"]
 
 
 def parse_time(text: str) -> Time:
@@ -189,11 +199,14 @@ def _path_of(
     return (out or results.path) / f"plot.{what}{at}.png"
 
 
-def _not_asked_for(results: Results, times: Sequence[Time]) -> str:
-    """Which frames are drawn in place of times that have none."""
+def _said_of(results: Results, times: Sequence[Time]) -> str:
+    """When the peak is, and which frames are drawn in place of times that have none."""
     told = []
     for time in times:
-        if not isinstance(time, str):
+        if time == "peak":
+            found = float(results.times[results.nearest(time)])
+            told.append(f"{moment(found)}: the frame of the largest internal energy; --time chooses another")
+        elif not isinstance(time, str):
             found = float(results.times[results.nearest(time)])
             if abs(found - time) > NEAR * float(results.times[-1]):
                 told.append(f"{moment(time)}: no frame; drawn is the nearest, {moment(found)}")

@@ -10,7 +10,8 @@ import numpy as np
 from phantomnode.pipeline.gaps import initial_gaps
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
-from phantomnode.pipeline.summary import areas, doubled_cells, step_set_by
+from phantomnode.pipeline.summary import areas, doubled_cells, pair_penalty, step_set_by, wall
+from phantomnode.pipeline.trust import CELLS_ADVISED, THROUGH_WALL
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -27,6 +28,9 @@ CELL_BYTES = {
 """Bytes of a frame for each cell that is drawn, measured with tests/benchmarks; LINE_BYTES for a slave segment."""
 
 LINE_BYTES = 60.0
+
+MANY = 20.0
+"""Cells through a wall from which on it is none: the body is massive."""
 
 PROCESS_BYTES, NODE_BYTES = 2.7e8, 520.0
 """Memory of a run that is tiny, and beyond the model's own arrays for each node: the cut meshes, the states of the
@@ -111,7 +115,19 @@ def report(prepared: Prepared) -> RenderableType:
     if prepared.boundaries:
         parts.append(_table(("boundary", "nodes", "holds"), _boundary_rows(prepared)))
     parts.append(_table(("run", ""), _run_rows(prepared)))
-    return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in prepared.warnings))
+    advice = (*prepared.warnings, *_thin_walls(prepared))
+    return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in advice))
+
+
+def _thin_walls(prepared: Prepared) -> Iterator[str]:
+    """A warning of each body whose walls take fewer cells than bend right."""
+    for body in prepared.bodies:
+        thickness, cells = wall(body)
+        if cells < THROUGH_WALL:
+            yield (
+                f"body {body.name}: {cells:.2g} cells go through its thinnest wall, {thickness:.3g} m; "
+                f"{CELLS_ADVISED} bend right (cell = {thickness / CELLS_ADVISED:.2g})"
+            )
 
 
 def text_report(prepared: Prepared) -> str:
@@ -140,6 +156,11 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     if any(added):
         yield row("of it added", "kg/m", [f"{mass:.3g}" for mass in added])
     yield row("grid cells", "", [str(body.grid.cell_count) for body in bodies])
+    walls = [wall(body) for body in bodies]
+    yield row("thinnest wall", "m", [f"{each.thickness:.3g}" if each.cells < MANY else "-" for each in walls])
+    yield row(
+        "cells through it", "", [f"{each.cells:.2g}" if each.cells < MANY else "many" for each in walls]
+    )
     yield row("elements", "", [str(len(body.mesh.elements)) for body in bodies])
     yield row("cut", "", [str(np.count_nonzero(body.mesh.cut)) for body in bodies])
     yield row("cells doubled", "", [str(doubled_cells(body)) for body in bodies])
@@ -152,9 +173,8 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     for pair, gap in zip(prepared.pairs, initial_gaps(prepared), strict=True):
-        points, penalty = pair.points.stop - pair.points.start, prepared.model.contact.penalty[pair.passes[0]]
-        counts = str(len(pair.segment_nodes)), str(points)
-        stiffness = f"{penalty * pair.share:.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
+        counts = str(len(pair.segment_nodes)), str(pair.points.stop - pair.points.start)
+        stiffness = f"{pair_penalty(prepared, pair):.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
         apart = "-" if gap is None else f"{gap.distance:.3g}"  # self contact has none
         yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart
 

@@ -12,7 +12,7 @@ from phantomnode.pipeline.figures import draw_figures
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.profile import draw_profiles
-from phantomnode.pipeline.results import open_results
+from phantomnode.pipeline.results import no_results, open_results
 from phantomnode.pipeline.run_files import VARIANTS
 from phantomnode.pipeline.run_page import run_page
 
@@ -102,7 +102,7 @@ def runs_of(folders: Sequence[Path]) -> dict[str, Path]:
     runs: dict[str, Path] = {}
     for folder in folders:
         if not (folder / "history.csv").is_file():
-            raise CaseError(f"{folder}: holds no results of a run (no history.csv)")
+            raise no_results(folder)
         for run in (folder, *sorted(p.parent for p in folder.glob(f"{VARIANTS}/*/history.csv"))):
             name = run.resolve().name
             runs[name if name not in runs else str(run)] = run

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -18,6 +19,7 @@ from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.frames import ContactFrame, FieldsFrame
 from phantomnode.pipeline.messages import listed, suggestion
 from phantomnode.pipeline.outlines import chains
+from phantomnode.pipeline.places import RESULTS
 from phantomnode.pipeline.vtu_reader import read_pvd
 
 if TYPE_CHECKING:
@@ -123,6 +125,15 @@ class Surface(NamedTuple):
     length: float
 
 
+def no_results(path: Path) -> CaseError:
+    """A folder that holds no run, and where its run may be: results/NAME, and those numbered after it."""
+    own = re.compile(re.escape(path.resolve().name) + r"(-\d+)?")
+    runs = [file.parent for file in RESULTS.glob("*/history.csv") if own.fullmatch(file.parent.name)]
+    newest = max(runs, key=lambda run: (run / "history.csv").stat().st_mtime, default=None)
+    hint = f"; did you mean {newest}?" if newest is not None else ""
+    return CaseError(f"{path}: holds no results of a run (no history.csv){hint}")
+
+
 class Results:
     """The results of a run; :func:`open_results` makes one.
 
@@ -137,7 +148,7 @@ class Results:
         if not (path / "history.csv").is_file():
             if (path / "results.csv").is_file():
                 raise CaseError(f"{path}: holds a batch; open one of its cases, as {_a_case_in(path)}")
-            raise CaseError(f"{path}: holds no results of a run (no history.csv)")
+            raise no_results(path)
 
     @cached_property
     def summary(self) -> dict[str, Any]:

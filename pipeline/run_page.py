@@ -7,9 +7,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from phantomnode.pipeline.curve_pictures import draw_pressure
+from phantomnode.pipeline.curve_pictures import bearing_times, draw_pressure
 from phantomnode.pipeline.drawing import moment, readable
 from phantomnode.pipeline.field_pictures import draw_field
 from phantomnode.pipeline.messages import shown
@@ -20,8 +18,6 @@ from phantomnode.pipeline.results import Results
 from phantomnode.pipeline.trust import Finding, findings, trusted
 from phantomnode.pipeline.view_data import view_data
 
-PRESSURE_TIMES = 4
-"""Curves in the picture of the contact pressure."""
 UNENDED = Finding(
     False,
     "End",
@@ -126,12 +122,13 @@ def _grid(table: dict[str, Any], body: dict[str, Any]) -> str:
 
 def _acting(results: Results) -> Iterator[str]:
     """Contact pairs, obstacles, boundaries, gravity."""
-    table = results.table
+    table, figures = results.table, results.summary
     for name, pair in table.get("contact", {}).items():
         rubbing = f"friction {pair['friction']:g}" if pair["friction"] else "no friction"
-        yield f"Contact {name}: {pair['slave']} on {pair['master']}, {rubbing}, penalty {_penalty(pair)}."
+        stiff = f" ({figures['penalty'][name]:.4g} Pa/m)" if name in figures.get("penalty", {}) else ""
+        yield f"Contact {name}: {pair['slave']} on {pair['master']}, {rubbing}, penalty {_penalty(pair)}{stiff}."
     for name in table.get("rigid", {}):
-        yield f"Rigid obstacle {name}."
+        yield f"Rigid obstacle {name}{_place(figures.get('obstacles', {}).get(name))}."
     for name, boundary in table.get("boundary", {}).items():
         kinds = ("displacement", "velocity", "acceleration", "traction", "pressure")
         kind = next(kind for kind in kinds if kind in boundary)
@@ -140,6 +137,15 @@ def _acting(results: Results) -> Iterator[str]:
         yield f"Gravity {shown(table['gravity'])} m/s²."
     method = "phantom nodes" if table.get("method", "phantom") == "phantom" else "classic X-FEM"
     yield f"To {moment(table['time']['end'])}, by {method}, in plane strain; all forces are per metre of thickness."
+
+
+def _place(obstacle: dict[str, Any] | None) -> str:
+    """Where an obstacle is: its kind, and its box."""
+    if obstacle is None:
+        return ""
+    kind = "closed" if obstacle["closed"] else "an open curve"
+    (left, bottom), (right, top) = obstacle["low"], obstacle["high"]
+    return f": {kind}, from ({left:.4g}, {bottom:.4g}) to ({right:.4g}, {top:.4g}) m"
 
 
 def _penalty(pair: dict[str, Any]) -> str:
@@ -181,9 +187,19 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
         spans = ", ".join(f"{moment(start)} to {moment(end)}" for start, end in phases[:6])
         more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
         touched = f"touches {spans}{more}" if phases else "never touches"
-        force = f"; peak force {figures['peak_contact_force'][name] * peak:.4g} {unit}" if phases else ""
-        yield f"{name} {touched}{force}."
+        yield f"{name} {touched}."
+        if phases:
+            x, y = figures["contact_impulse"][name]
+            yield (
+                f"{name}: impulse on the slave ({x:.4g}, {y:.4g}) N s/m; peak force "
+                f"{figures['peak_contact_force'][name] * peak:.4g} {unit}, that of a single step: stiff penalties "
+                "chatter, so compare impulses."
+            )
+        if name in figures.get("still_closing", ()):
+            yield f"{name}: the two still move towards each other at the end; a larger time.end shows the rebound."
     for name, peak_force in figures.get("peak_reaction", {}).items():
+        if name in figures.get("obstacles", {}):
+            continue  # it bears what its contact pairs give it
         factor, unit = readable(peak_force, "N/m")
         yield f"Reaction at {name}: at most {peak_force * factor:.4g} {unit} in the rows of the history."
     for name, velocity in figures.get("velocity", {}).items():
@@ -197,20 +213,8 @@ def _pictures(results: Results) -> Iterator[Picture]:
     caption = f"von Mises stress at {moment(frame.time)}, the frame of the largest internal energy"
     yield picture_of(draw_field(frame, "von_mises", results.title), caption)
     for pair in results.pairs:
-        if times := _pressure_times(results, pair):
+        if times := bearing_times(results, pair):
             yield picture_of(draw_pressure(results, pair, times), f"Contact pressure of {pair}")
-
-
-def _pressure_times(results: Results, pair: str) -> list[float]:
-    """Frames in which a pair bears, spread over the time of its contact, the one of the largest force among them."""
-    history = results.history
-    size = np.hypot(history[f"contact.{pair}.fx"], history[f"contact.{pair}.fy"])
-    force = np.interp(results.times, history.time, size)
-    bearing = np.flatnonzero(force > 0.01 * force.max()) if force.max() > 0.0 else np.zeros(0, dtype=int)
-    if len(bearing) == 0:
-        return []
-    spread = bearing[np.linspace(0, len(bearing) - 1, PRESSURE_TIMES).astype(int)]
-    return [float(results.times[k]) for k in sorted({*spread.tolist(), int(np.argmax(force))})]
 
 
 def _timings(figures: dict[str, Any]) -> Iterator[str]:

@@ -154,8 +154,10 @@ class BodyGeometry(Drawing):
 class CurveGeometry(Drawing):
     """A curve: a file, one shape, or a function y(x)."""
 
-    polyline: Polyline | None = Field(default=None, description="{ points = [[x, y], ...] }")
-    circle: Circle | None = Field(default=None, description="{ centre = [x, y], radius = r }")
+    polyline: Polyline | None = Field(default=None, description="open: { points = [[x, y], ...] }")
+    rectangle: Rectangle | None = Field(default=None, description="closed: { low = [x, y], high = [x, y] }")
+    circle: Circle | None = Field(default=None, description="closed: { centre = [x, y], radius = r }")
+    polygon: Polygon | None = Field(default=None, description="closed: { points = [[x, y], ...] }")
     function: Annotated[str, expression_of("x")] | None = Field(
         default=None, description="y as an expression of x, m"
     )
@@ -165,7 +167,7 @@ class CurveGeometry(Drawing):
 
     @model_validator(mode="after")
     def _one_source(self) -> CurveGeometry:
-        source = self.exactly_one("file", "polyline", "circle", "function")
+        source = self.exactly_one("file", "polyline", "rectangle", "circle", "polygon", "function")
         if self.x is not None and source != "function":
             raise ValueError(f"x belongs to a function, not to a {source}")
         if self.x is not None and self.x[0] >= self.x[1]:
@@ -239,8 +241,9 @@ class MappedGrid(Table):
     def _curves_end(self) -> MappedGrid:
         for side in ("bottom", "right", "top", "left"):
             curve: CurveGeometry = getattr(self, side)
-            if curve.circle is not None:
-                raise ValueError(f"{side} is a circle, which has no ends; four open curves are needed")
+            for closed in ("rectangle", "circle", "polygon"):
+                if getattr(curve, closed) is not None:
+                    raise ValueError(f"{side} is a {closed}, which has no ends; four open curves are needed")
             if curve.function is not None and curve.x is None:
                 raise ValueError(f"{side} is a function and needs its range: x = [first, last]")
         return self

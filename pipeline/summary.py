@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from phantomnode import __version__
+from phantomnode.geometry.walls import thinnest_wall
+from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Prepared
+from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.tally import Tally, small_elements
 from phantomnode.pipeline.trust import beyond_checks
@@ -123,6 +126,7 @@ def summarize(
         "element_updates_per_s": steps * counts["elements"] / clock.steps if clock.steps > 0.0 else 0.0,
         "counts": counts,
         "area": {body.name: areas(body) for body in prepared.bodies},
+        "thinnest_wall": {body.name: wall(body)._asdict() for body in prepared.bodies},
         "mass": {body.name: float(prepared.model.mass[body.nodes].sum()) for body in prepared.bodies},
         "added_mass": {body.name: added_mass(body, prepared.model) for body in prepared.bodies},
         "warnings": list(prepared.warnings),
@@ -156,6 +160,9 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
         },
         "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
         "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},
+        "still_closing": [name for k, name in pairs if tally.still_closing(k)],
+        "penalty": {pair.name: pair_penalty(prepared, pair) for pair in prepared.pairs},
+        "obstacles": {rigid.name: placed(rigid) for rigid in prepared.rigids},
         "contact_phases": {name: tally.phases(k) for k, name in pairs},
         "contact_touches": {name: tally.touches(k) for k, name in pairs},
         "largest_penetration": {name: float(tally.penetration[k]) for k, name in pairs},
@@ -164,6 +171,20 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
             for name, m in momenta.items()
         },
         "velocity": {name: {"start": start, "end": end} for name, (start, end) in velocities.items()},
+    }
+
+
+def pair_penalty(prepared: Prepared, pair: Pair) -> float:
+    """The penalty with which the surfaces of a pair meet, of all points together, Pa/m."""
+    return float(pair.share * prepared.model.contact.penalty[pair.passes[0]])
+
+
+def placed(rigid: Rigid) -> dict[str, Any]:
+    """Where an obstacle is at the start: its box, m, and whether all its curves are closed."""
+    return {
+        "low": rigid.xy.min(axis=0),
+        "high": rigid.xy.max(axis=0),
+        "closed": all(curve.closed for curve in rigid.curves),
     }
 
 
@@ -217,7 +238,7 @@ def count(prepared: Prepared) -> dict[str, Any]:
         "elements": sum(len(mesh.elements) for mesh in meshes),
         "cut": sum(int(np.count_nonzero(mesh.cut)) for mesh in meshes),
         "doubled": sum(doubled_cells(body) for body in prepared.bodies),
-        "nodes": len(prepared.model.x),
+        "nodes": sum(len(mesh.xy) for mesh in meshes),
         "phantom_nodes": sum(int(np.count_nonzero(~mesh.real)) for mesh in meshes),
         "relocated_nodes": sum(body.relocated for body in prepared.bodies),
         "smallest_fraction": min(float(mesh.fraction.min()) for mesh in meshes),
@@ -228,6 +249,19 @@ def count(prepared: Prepared) -> dict[str, Any]:
 def doubled_cells(body: Body) -> int:
     """Number of grid cells that carry more than one element of the body."""
     return int(np.count_nonzero(np.unique(body.mesh.cell, return_counts=True)[1] > 1))
+
+
+class Wall(NamedTuple):
+    """The thinnest wall of a body: its thickness, m, infinite where there is none, and the cells through it."""
+
+    thickness: float
+    cells: float
+
+
+def wall(body: Body) -> Wall:
+    """The thinnest wall of a body, against its typical cell."""
+    thickness = thinnest_wall(body.regions)
+    return Wall(thickness, thickness / body.grid.typical_size)
 
 
 def areas(body: Body) -> dict[str, float]:
@@ -249,11 +283,10 @@ def step_set_by(prepared: Prepared) -> str:
         (body.name, body.elements if kind == "uncut" else body.cut_elements) for body in prepared.bodies
     ]
     owner = next(name for name, part in slices if part.start <= number < part.stop)
-    share = contact**2 / (element**2 + contact**2)
-    springs = "contact and supports" if len(prepared.model.supports.stiffness) else "contact"
-    limit = f"{kind} element of body {owner}" + (
-        f", {springs} {share:.0%} of the frequency^2" if contact else ""
-    )
+    limit = f"{'an' if kind == 'uncut' else 'a'} {kind} element of body {owner}"
+    if contact:
+        springs = "contact and supports" if len(prepared.model.supports.stiffness) else "contact"
+        limit += f", with {springs} ({np.hypot(element, contact) / element:.3g} times as long without)"
     if prepared.case.time.step != "auto":
         return f"the case (stable: {estimate.dt:.3g} s by {limit})"
     return limit
@@ -293,7 +326,12 @@ def highlights(figures: dict[str, Any]) -> list[str]:
         more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
         word = "phase" if len(phases) == 1 else "phases"
         lines.append(f"contact   {name}: {len(phases)} {word} {spans}{more}".rstrip())
-        lines.append(f"          peak force {figures['peak_contact_force'][name]:.4g} N/m")
+        if phases:
+            impulse = float(np.hypot(*figures["contact_impulse"][name]))
+            peak = figures["peak_contact_force"][name]
+            lines.append(f"          impulse {impulse:.4g} N s/m, peak force of a single step {peak:.4g} N/m")
+        if name in figures.get("still_closing", ()):
+            lines.append("          the two still move towards each other: time.end comes before they part")
     for name, velocity in figures.get("velocity", {}).items():
         start, end = (f"({v[0]:.4g}, {v[1]:.4g})" for v in (velocity["start"], velocity["end"]))
         lines.append(f"velocity  {name}: {start} -> {end} m/s, centre of mass")
@@ -354,8 +392,9 @@ def _where(summary: Summary) -> list[str]:
     path = summary.path
     return [
         f"results   {path}",
-        f"look at   paraview {path / 'fields.pvd'}",
+        f"look at   {path / 'peak.png'}, the stress when most energy is stored",
         f"          phantomnode report {path}",
+        f"          paraview {path / 'fields.pvd'}",
     ]
 
 

@@ -149,6 +149,24 @@ class Tally:
             phases.append(touch)
         return phases
 
+    def still_closing(self, pair: int) -> bool:
+        """Whether slave and master still move towards each other at the end, against the impulse they have had.
+
+        By the velocities of their centres; of an obstacle, by the mean of its nodes. False where nothing touched.
+        """
+        if self.last is None or not np.any(self.last.pair_impulse[pair]):
+            return False
+        apart = np.zeros(2)
+        slave, master = pair_bodies(self._prepared, pair)
+        contact, k = self._prepared.model.contact, self._prepared.pairs[pair].passes[0]
+        obstacle = np.unique(contact.master_nodes[contact.master_first[k] : contact.master_first[k + 1]])
+        for sign, body in ((1.0, slave), (-1.0, master)):
+            moves = self.velocity(body)[1] if body is not None else self.last.v[obstacle].mean(axis=0)
+            apart += sign * moves
+        return float(apart @ self.last.pair_impulse[pair]) < -REST * self.speed_max * float(
+            np.hypot(*self.last.pair_impulse[pair])
+        )
+
     def touches(self, pair: int) -> list[Phase]:
         """Every time in which a pair bore a force, in order, as far as the samples show."""
         if not self._times:

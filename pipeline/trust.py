@@ -13,6 +13,11 @@ ADDED = 0.05
 """Added mass over the whole that changes the answer: the limit of the run's own warning."""
 
 
+CELLS_ADVISED, THROUGH_WALL = 4, 2.0
+"""Cells through a wall with which bending is right to some per cent, and the fewest that pass without a word: below
+them the one point of an element sees no bending, which hourglass control alone resists."""
+
+
 class Finding(NamedTuple):
     """One answer: whether it is as it should be, what was looked at, and the answer with its numbers."""
 
@@ -45,8 +50,8 @@ def trusted(found: list[Finding]) -> bool:
 
 
 def percent(value: float) -> str:
-    """A share for people to read: "0.43 %", "2e-13"."""
-    return f"{value:.3g}" if abs(value) < 1e-5 else f"{100.0 * value:.3g} %"
+    """A share for people to read: "0.43 %", "2e-11 %"."""
+    return f"{100.0 * value:.3g} %"
 
 
 def _end(figures: dict[str, Any]) -> Finding:
@@ -133,8 +138,24 @@ def _mesh(figures: dict[str, Any]) -> Iterator[Finding]:
     )
     passed = off[worst] <= AREA
     yield Finding(passed, "Mesh", text if passed else f"{text} To do: take smaller cells.")
+    yield from _walls(figures)
     for warning in figures["warnings"]:
         yield Finding(False, "Warning", f"{warning}.")
+
+
+def _walls(figures: dict[str, Any]) -> Iterator[Finding]:
+    """Bodies with walls through which few cells go."""
+    for name, wall in figures.get("thinnest_wall", {}).items():
+        if wall["cells"] is None or wall["cells"] >= CELLS_ADVISED:
+            continue
+        text = (
+            f"{wall['cells']:.2g} cells go through the thinnest wall of {name}, {wall['thickness']:.3g} m; "
+            f"{CELLS_ADVISED} bend right."
+        )
+        passed = wall["cells"] >= THROUGH_WALL
+        yield Finding(
+            passed, "Walls", text if passed else f"{text} To do: smaller cells, if bending matters."
+        )
 
 
 def _added_mass(figures: dict[str, Any]) -> Iterator[Finding]:

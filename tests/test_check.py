@@ -86,6 +86,21 @@ def test_the_disk_that_a_run_takes_is_foreseen(tmp_path: Path) -> None:
     assert estimated_disk(prepare(case)) == pytest.approx(taken, rel=0.25)
 
 
+def thin_plate(cell: float) -> str:
+    """What ``check`` says of a plate of 0.1 m."""
+    table = two_blocks(0.03)
+    table["body"]["block"]["geometry"] = {"rectangle": {"low": [0.0, 0.03], "high": [1.5, 0.13]}}
+    table["body"]["block"]["grid"] = {"kind": "cartesian", "cell": cell}
+    return " ".join(text_report(prepare(case_from_table(table))).split())
+
+
+def test_few_cells_through_a_wall_are_told_and_what_would_be_enough() -> None:
+    warned = "body block: 1.2 cells go through its thinnest wall, 0.1 m; 4 bend right (cell = 0.025)"
+    assert warned in thin_plate(0.08)
+    finer = thin_plate(0.04)
+    assert "warning body block" not in finer and "cells through it 2.5" in finer
+
+
 @pytest.mark.parametrize(
     ("size", "text"),
     [(10.0, "0.01 kB"), (3.21e6, "3.2 MB"), (54.6e6, "55 MB"), (1.2e9, "1.2 GB"), (5e12, "5 TB")],

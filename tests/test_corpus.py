@@ -22,7 +22,8 @@ from phantomnode import run
 from phantomnode.geometry.curves import Geometry, Region, diagonal
 from phantomnode.geometry.errors import GeometryError, NoUnitError, OutlineError
 from phantomnode.geometry.readers import read_geometry
-from phantomnode.pipeline.adoption import _cell
+from phantomnode.geometry.walls import thinnest_wall
+from phantomnode.pipeline.adoption import cell_for
 from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.prepare import prepare
 
@@ -226,9 +227,10 @@ was not given: an error in proportion to the square of the step, for all points 
 def falling(path: Path, geometry: Geometry) -> dict[str, Any]:
     """A case in which the largest region of a file falls on a rigid plane."""
     number = max(range(len(geometry.regions)), key=lambda k: geometry.regions[k].area)
+    region = geometry.regions[number]
     part: dict[str, Any] = {
         "geometry": {"file": str(path), "unit": geometry.unit, "region": number + 1},
-        "grid": {"kind": "cartesian", "cell": _cell(geometry.regions[number])},
+        "grid": {"kind": "cartesian", "cell": cell_for(region, thinnest_wall([region]))},
         "material": "rubber",
         "initial_velocity": [0.0, -SPEED],
     }

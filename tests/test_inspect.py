@@ -108,6 +108,10 @@ def test_a_case_for_a_drawing_has_its_names_and_can_be_cut(
     assert (
         "# plate_1: 0.08 x 0.03 m; parts: boundary, outer, inner, bottom, right, top, left, Plate 1" in text
     )
+    assert (
+        "cell = 0.0025 }      # m; " in text
+    )  # four to the radius of the bolt, as of the smaller body's own
+    assert "go through the thinnest wall, 0.0" in text and "ms of fall, and" in text
     case = load_case("mine", ())
     assert list(case.body) == ["plate_1", "bolt"] and list(case.contact) == [
         "plate_1_on_floor",

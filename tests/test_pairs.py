@@ -223,6 +223,10 @@ def mass_speed(prepared, frame):
         ({"geometry": {"function": "-0.01 - x**2", "x": [-1.0, 1.0]}}, False),
         ({"geometry": {"polyline": {"points": [[-1.0, -0.001], [1.0, -0.001]]}}}, False),
         ({"geometry": {"polyline": {"points": [[1, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]]}}}, False),
+        ({"geometry": {"rectangle": {"low": [-1.0, -0.5], "high": [1.0, -0.001]}}}, True),
+        ({"geometry": {"rectangle": {"low": [-1.0, -1.0], "high": [1.0, 1.0]}}}, False),
+        ({"geometry": {"rectangle": {"low": [-1.0, -1.0], "high": [1.0, 1.0]}}, "side": "right"}, True),
+        ({"geometry": {"polygon": {"points": [[0.0, -0.01], [1.0, -1.0], [-1.0, -1.0]]}}}, True),
         (
             {
                 "geometry": {"polyline": {"points": [[1, -1], [1, 1], [-1, 1], [-1, -1], [1, -1]]}},

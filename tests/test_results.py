@@ -15,7 +15,13 @@ from small_run import TABLE, small_run
 
 from phantomnode import open_results
 from phantomnode.pipeline.cli import app
-from phantomnode.pipeline.curve_pictures import HISTORIES, draw_history, draw_pressure, energies
+from phantomnode.pipeline.curve_pictures import (
+    HISTORIES,
+    bearing_times,
+    draw_history,
+    draw_pressure,
+    energies,
+)
 from phantomnode.pipeline.drawing import readable
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.field_pictures import joint_limits, limits_of, map_of
@@ -124,13 +130,20 @@ class TestArrays:
             results.history["contact.landing.fy"][row], rel=1e-4
         )
 
-    def test_what_is_missing_is_named(self, results, tmp_path):
+    def test_what_is_missing_is_named(self, results, tmp_path, monkeypatch):
         with pytest.raises(CaseError, match="no contact pair 'lading'; there are: landing"):
             results.surface("lading")
         with pytest.raises(CaseError, match=r"no field \(did you mean 'von_mises'\?\)"):
             quantity("von_misses")
         with pytest.raises(CaseError, match="holds no results of a run"):
             open_results(tmp_path)
+        monkeypatch.chdir(tmp_path)
+        for name in ("mine", "mine-2", "minerals"):
+            (tmp_path / "results" / name).mkdir(parents=True)
+            (tmp_path / "results" / name / "history.csv").write_text("time\n")
+            os.utime(tmp_path / "results" / name / "history.csv", (len(name), len(name)))
+        with pytest.raises(CaseError, match=r"did you mean results.mine-2\?"):
+            open_results(tmp_path / "mine")
         (tmp_path / "results.csv").write_text("case\n")
         with pytest.raises(CaseError, match="holds a batch; open one of its cases"):
             open_results(tmp_path)
@@ -249,6 +262,12 @@ class TestPictures:
             plot_files(results, ["energies"], ["end"], tmp_path / name)
         assert b"<svg" in (tmp_path / "a.svg").read_bytes()
         assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+    def test_without_a_time_fields_are_at_the_peak_and_pressure_while_it_bears(self, results, tmp_path):
+        (_, field), (_, pressure) = plot_files(results, ["J", "contact_pressure"], [], tmp_path)
+        assert "the frame of the largest internal energy" in field and pressure == ""
+        times = bearing_times(results, "landing")
+        assert len(times) > 1 and all(results.contact(time).of_pair(0, "pressure").max() > 0.0 for time in times)
 
     def test_times_as_people_write_them(self):
         assert parse_time("4.5 ms") == pytest.approx(4.5e-3)

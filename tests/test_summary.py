@@ -252,10 +252,30 @@ def test_a_full_disk_is_an_error_and_gives_the_terminal_back(prepared, tmp_path,
 
 
 def test_what_sets_the_step(handmade):
-    automatic = "uncut element of body block, contact 50% of the frequency^2"
+    automatic = "an uncut element of body block, with contact (1.41 times as long without)"
     assert step_set_by(handmade) == automatic
     cut = dataclasses.replace(handmade, estimate=handmade.estimate._replace(element=4, contact_frequency=0.0))
-    assert step_set_by(cut) == "cut element of body block"
+    assert step_set_by(cut) == "a cut element of body block"
     time = handmade.case.time.model_copy(update={"step": 1e-5})
     given = dataclasses.replace(handmade, case=handmade.case.model_copy(update={"time": time}))
     assert step_set_by(given) == f"the case (stable: 0.0001 s by {automatic})"
+
+
+@pytest.mark.parametrize(
+    ("block", "floor", "closing"),
+    [
+        ((0.0, -1.0), (0.0, 0.0), True),  # still falls on the floor below
+        ((0.0, 1.0), (0.0, 0.0), False),  # bounces off
+        ((0.0, -1.0), (0.0, -2.0), False),  # the floor flees
+        ((5.0, 0.0), (0.0, 0.0), False),  # slides along
+    ],
+)
+def test_whether_bodies_still_close_at_the_end(handmade, frame_of, block, floor, closing):
+    tally = Tally(handmade)
+    v = np.zeros_like(handmade.model.x)
+    for body, speed in zip(handmade.bodies, (block, floor), strict=True):
+        v[body.nodes] = speed
+    tally.frame(frame_of(0, u=0.0 * v, v=v))
+    assert not tally.still_closing(0)  # nothing has touched
+    tally.frame(frame_of(1, u=0.0 * v, v=v, pair_impulse=np.array([[0.0, 3.0]])))
+    assert tally.still_closing(0) is closing
