@@ -267,7 +267,9 @@ class TestPictures:
         (_, field), (_, pressure) = plot_files(results, ["J", "contact_pressure"], [], tmp_path)
         assert "the frame of the largest internal energy" in field and pressure == ""
         times = bearing_times(results, "landing")
-        assert len(times) > 1 and all(results.contact(time).of_pair(0, "pressure").max() > 0.0 for time in times)
+        assert len(times) > 1 and all(
+            results.contact(time).of_pair(0, "pressure").max() > 0.0 for time in times
+        )
 
     def test_times_as_people_write_them(self):
         assert parse_time("4.5 ms") == pytest.approx(4.5e-3)
