@@ -109,9 +109,9 @@ def test_a_case_for_a_drawing_has_its_names_and_can_be_cut(
         "# plate_1: 0.08 x 0.03 m; parts: boundary, outer, inner, bottom, right, top, left, Plate 1" in text
     )
     assert (
-        "cell = 0.0025 }      # m; " in text
-    )  # four to the radius of the bolt, as of the smaller body's own
-    assert "go through the thinnest wall, 0.0" in text and "ms of fall, and" in text
+        "cell = 0.0025 }  # m; 4 through the thinnest wall, 0.01 m\n" in text
+    )  # beside the hole of the plate
+    assert "cell = 0.0025 }  # m; 8 through the thinnest wall, 0.02 m\n" in text and "ms of fall, and" in text
     case = load_case("mine", ())
     assert list(case.body) == ["plate_1", "bolt"] and list(case.contact) == [
         "plate_1_on_floor",
