@@ -6,10 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phantomnode.pipeline.ledger import Ledger
 from phantomnode.pipeline.names import word
 from phantomnode.pipeline.one_case import DONE
-from phantomnode.pipeline.outputs import output_of, with_unit
+from phantomnode.pipeline.outputs import output_of, unit_of, unit_of_key
 from phantomnode.pipeline.sweep import Plot
 
 MOST_LABELS = 12
@@ -36,7 +38,7 @@ def draw_plots(ledger: Ledger, folder: Path) -> list[Path]:
     for name, plot in ledger.study.sweep.plot.items():
         if found := curves(ledger, plot):
             pictures.append(folder / f"plot.{name}.png")
-            _draw(plot, found, ledger.study.sweep.title, pictures[-1])
+            _draw(plot, found, _x_unit(ledger, plot), ledger.study.sweep.title, pictures[-1])
     return pictures
 
 
@@ -67,20 +69,34 @@ def _numeric(points: Sequence[tuple[Any, float]]) -> bool:
     return all(isinstance(x, int | float) for x, _ in points)
 
 
-def _draw(plot: Plot, found: Curves, title: str, path: Path) -> None:
+def _x_unit(ledger: Ledger, plot: Plot) -> str:
+    """The unit of the axis along which a picture goes, where its values are numbers."""
+    axis = ledger.study.sweep.axis[plot.x]
+    return "" if axis.names else unit_of_key(axis.paths[0])
+
+
+def _named(name: str, unit: str) -> str:
+    """Words for people, with a unit: "peak contact force, landing, MN/m"."""
+    words = ", ".join(part.replace("_", " ") for part in name.split("."))
+    return f"{words}, {unit}" if unit else words
+
+
+def _draw(plot: Plot, found: Curves, x_unit: str, title: str, path: Path) -> None:
     """One picture."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from phantomnode.pipeline.drawing import save
+    from phantomnode.pipeline.drawing import readable, save
 
     figure = Figure(figsize=(7.0, 4.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
+    factor, unit = readable(np.array([y for points in found.values() for _, y in points]), unit_of(plot.y))
     for label, points in found.items():
         x = [value if _numeric(points) else word(value) for value, _ in points]
-        axes.plot(x, [y for _, y in points], marker="o", markersize=4.0, linewidth=1.0, label=label)
-    axes.set(xlabel=plot.x, ylabel=with_unit(plot.y), title=title)
+        axes.plot(x, [factor * y for _, y in points], marker="o", markersize=4.0, linewidth=1.0, label=label)
+    axes.ticklabel_format(axis="y", useOffset=False)
+    axes.set(xlabel=_named(plot.x, x_unit), ylabel=_named(plot.y, unit), title=title)
     for direction in plot.log:
         getattr(axes, f"set_{direction}scale")("log")
     if 1 < len(found) <= MOST_LABELS:

@@ -26,10 +26,13 @@ from phantomnode.pipeline.drawing import (
     marks,
     new_figure,
     save,
+    solid,
 )
+from phantomnode.pipeline.field_pictures import MARGIN, SOLID, with_obstacles
 from phantomnode.pipeline.gaps import ends_of, initial_gaps, master_ends
 from phantomnode.pipeline.mesh_pictures import drawable
-from phantomnode.pipeline.preflight import step_place
+from phantomnode.pipeline.outlines import solid_sides
+from phantomnode.pipeline.preflight import element_place, step_place
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 
 if TYPE_CHECKING:
@@ -66,7 +69,7 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
         The .png file.
     """
     spots = list(_spots(prepared))
-    box = box_of(np.concatenate([*_boxes(prepared), *(rigid.xy for rigid in prepared.rigids)]))
+    box = _shown_box(prepared)
     wide, tall = np.maximum(box[1] - box[0], 1e-300)
     height = float(np.clip(8.0 * tall / wide, 5.0, 10.0))
     figure = new_figure(12.5, height + 1.6)
@@ -74,6 +77,7 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
     axes = figure.add_subplot(grid[:, 0])
     equal_axes(axes)
     _draw_bodies(axes, prepared)
+    _draw_obstacles(axes, prepared, box)
     _draw_contact(axes, prepared)
     _draw_boundaries(axes, prepared)
     for number, spot in enumerate(spots):
@@ -83,10 +87,30 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
         panel = figure.add_subplot(grid[number, 1])
         _draw_close(panel, prepared, spot, f"{'ab'[number]}: {spot.title}")
     axes.set_title(prepared.case.title or prepared.case.name, fontsize=11)
+    axes.set(xlim=box[:, 0], ylim=box[:, 1])
+    _name_kinds(axes)
     handles, labels = axes.get_legend_handles_labels()
     shown = [pair for pair in zip(handles, labels, strict=True) if pair[1]]
     figure.legend(*zip(*shown, strict=True), loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     save(figure, path)
+
+
+def _shown_box(prepared: Prepared) -> Floats:
+    """(2, 2) What is shown: the bodies, and obstacles as far as they are near, with a margin."""
+    box = box_of(np.concatenate(_boxes(prepared)))
+    if prepared.rigids:
+        box = with_obstacles(box, np.concatenate([rigid.xy for rigid in prepared.rigids]))
+    space = MARGIN * float(np.max(box[1] - box[0]))
+    return np.asarray(box + np.array([[-space], [space]]))
+
+
+def _name_kinds(axes: Axes) -> None:
+    """Entries of the legend for what stands in every panel: cells and nodes by their kinds."""
+    square: dict[str, Any] = {"marker": "s", "ms": 8.0, "ls": "", "mew": 0.0}
+    axes.plot([], [], color=BODY_COLOURS[0], alpha=0.5, label="uncut cells, a colour a body", **square)
+    axes.plot([], [], color=CUT, label="cut cells", **square)
+    axes.plot([], [], "o", color="black", ms=2.5, label="real nodes (right)")
+    axes.plot([], [], "o", mfc="none", mec=PHANTOM, ms=5.0, label="phantom nodes (right)")
 
 
 def _spots(prepared: Prepared) -> Iterator[Spot]:
@@ -95,11 +119,8 @@ def _spots(prepared: Prepared) -> Iterator[Spot]:
     if cut:
         body = min(cut, key=lambda each: float(each.mesh.fraction.min()))
         least = int(np.argmin(body.mesh.fraction))
-        own = body.mesh.triangles[body.mesh.triangle_element == least]
-        place = own.mean(axis=(0, 1)) if len(own) else body.mesh.xy[body.mesh.elements[least]].mean(axis=0)
-        yield Spot(
-            f"smallest fragment, {body.mesh.fraction[least]:.3g} of its cell", place, body.grid.cell_size
-        )
+        title = f"smallest fragment, {body.mesh.fraction[least]:.3g} of its cell"
+        yield Spot(title, element_place(body.mesh, least), body.grid.cell_size)
     if prepared.xfem is None:
         place = step_place(prepared)
         nearest = min(prepared.bodies, key=lambda each: _outside(each, place))
@@ -136,10 +157,20 @@ def _draw_bodies(axes: Axes, prepared: Prepared) -> None:
             axes.plot(*drawable(curve).T, color="black", lw=0.9, ls="--")
             _name(axes, drawable(curve)[len(drawable(curve)) // 2], name)
         _name(axes, _within(body), body.name)
+
+
+def _draw_obstacles(axes: Axes, prepared: Prepared, box: Floats) -> None:
+    """Rigid obstacles with their solid side, and a name there."""
+    width = SOLID * float(np.max(box[1] - box[0]))
     for rigid in prepared.rigids:
-        lines(axes, rigid.xy[rigid.segments], color="black", linewidths=2.5)
-        middle = rigid.xy[rigid.segments[len(rigid.segments) // 2]].mean(axis=0)
-        _name(axes, middle, f"{rigid.name} (rigid)")
+        ends = rigid.xy[rigid.segments]
+        solid(axes, ends, width)
+        lines(axes, ends, color="black", linewidths=1.5)
+        inside = shapely.union_all([shapely.Polygon(side) for side in solid_sides(ends, width)])
+        seen = inside.buffer(0.0).intersection(shapely.box(*box.ravel()))
+        if not seen.is_empty:
+            place = seen.centroid if seen.contains(seen.centroid) else seen.representative_point()
+            _name(axes, np.array([place.x, place.y]), f"{rigid.name} (rigid)")
 
 
 def _fill_regions(axes: Axes, body: Body, colour: str) -> None:
@@ -179,14 +210,14 @@ def _draw_contact(axes: Axes, prepared: Prepared) -> None:
             axes,
             masters,
             color=MASTER,
-            linewidths=1.8,
+            linewidths=1.2,
             label=f"{pair.name}: master {pair.master} (whole outline)",
         )
         slaves = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
         what = "" if gap is None else f", gap {gap.distance:.3g} m" if gap.distance >= 0.0 else (
             f", overlap {-gap.distance:.3g} m taken as zero"
         )  # fmt: skip
-        lines(axes, slaves, color=SLAVE, linewidths=1.8, label=f"{pair.name}: slave {pair.slave}{what}")
+        lines(axes, slaves, color=SLAVE, linewidths=1.0, label=f"{pair.name}: slave {pair.slave}{what}")
         if gap is not None and gap.distance > 0.0:
             arrow = {"arrowstyle": "<->", "color": SLAVE, "lw": 1.0}
             axes.annotate("", _pair(gap.master), _pair(gap.slave), arrowprops=arrow, zorder=5)
@@ -221,22 +252,14 @@ def _draw_close(axes: Axes, prepared: Prepared, spot: Spot, title: str) -> None:
         fill(axes, own, facecolor=CUT, edgecolor=CUT)
         used = np.unique(mesh.elements[near])
         real = mesh.real[used]
-        axes.plot(*mesh.xy[used[real]].T, "o", color="black", ms=2.5, label="" if number else "real nodes")
-        axes.plot(
-            *mesh.xy[used[~real]].T,
-            "o",
-            mfc="none",
-            mec=PHANTOM,
-            ms=5.0,
-            label="" if number else "phantom nodes",
-        )
+        axes.plot(*mesh.xy[used[real]].T, "o", color="black", ms=2.5)
+        axes.plot(*mesh.xy[used[~real]].T, "o", mfc="none", mec=PHANTOM, ms=5.0)
     for curve in _curves(prepared):
         axes.plot(*curve.polyline(1e-3 * spot.cell).T, color="black", lw=0.9)
     axes.plot(*spot.place, "*", color=SPOT, ms=9.0)
     axes.set(xlim=box[:, 0], ylim=box[:, 1], aspect="equal")
     axes.tick_params(labelsize=7)
     axes.locator_params(nbins=5)
-    axes.legend(loc="best", fontsize=6)
     axes.set_title(title, fontsize=9)
 
 

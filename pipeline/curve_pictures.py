@@ -23,6 +23,12 @@ BEARING = 4
 """Curves in the picture of the contact pressure, where no times are asked for."""
 BESIDE = 0.15
 """Of the length of the touched stretch of a surface, shown on either side of it."""
+LEVEL = 1e-6
+"""Of the length of a surface: places that differ by less are at one height."""
+NOTHING = 1e-6
+"""Of the largest value of some curves: what stays below it is zero to the eye."""
+FEW = 40
+"""Segments that ever bear, up to which each one has a mark."""
 ENERGIES = {
     "kinetic": "kinetic",
     "internal": "internal",
@@ -53,16 +59,16 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
     axes = figure.add_subplot()
     breaks = np.flatnonzero(np.diff(along.chain)) + 1
     x = np.insert(along.arc * arc_factor, breaks, np.nan)
+    few = int(np.sum(np.max(smooth, axis=0) > 0.0)) <= FEW
     for frame, rough, fine in zip(frames, raw, smooth, strict=True):
-        (line,) = axes.plot(
-            x, np.insert(fine[order] * factor, breaks, np.nan), lw=1.6, label=f"t = {moment(frame.time)}"
-        )
+        curve, label = np.insert(fine[order] * factor, breaks, np.nan), f"t = {moment(frame.time)}"
+        (line,) = axes.plot(x, curve, lw=1.6, marker="o" if few else None, ms=3.5, label=label)
         axes.plot(
             x, np.insert(rough[order] * factor, breaks, np.nan), lw=0.7, alpha=0.4, color=line.get_color()
         )
     axes.set_xlim(touched_range(x, np.insert(np.max([*raw, *smooth], axis=0)[order], breaks, 0.0)))
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(f"arc length along the undeformed surface from {start_of(along)}, {arc_unit}")
+    axes.set_xlabel(f"arc length along the undeformed surface, {arc_unit}; 0 at {start_of(along)}")
     axes.set_ylabel(f"contact pressure, {unit}")
     explained = "line: through the hat filter, pale: of each segment"
     axes.set_title(f"{results.title}: {pair} on {surfaces_of(results, pair)}\n{explained}", fontsize=10)
@@ -90,7 +96,7 @@ def surfaces_of(results: Results, pair: str) -> str:
 
 
 def start_of(along: Surface) -> str:
-    """Where the arc length begins, without what is only rounding: "(0.5, 1.32) m"."""
+    """Where the arc length is zero, without what is only rounding: "(0.5, 1.32) m"."""
     place = np.where(np.abs(along.start) > 1e-9 * along.length, along.start, 0.0)
     return "({:.4g}, {:.4g}) m".format(*place)
 
@@ -98,7 +104,8 @@ def start_of(along: Surface) -> str:
 def unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.int64]]:
     """A closed surface cut open in the middle of its longest stretch without contact, and its new order.
 
-    ``touched`` (k,) tells of each segment along the surface whether it ever bears.
+    Its arc length is zero at its lowest place (the leftmost of them) wherever it is cut, so that runs of one part can
+    be compared. ``touched`` (k,) tells of each segment along the surface whether it ever bears.
     """
     order = np.arange(len(along.arc))
     on = np.flatnonzero(touched)
@@ -110,24 +117,27 @@ def unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArr
     seam = np.mod(along.arc[on[widest]] + 0.5 * gaps[widest], along.length)
     arc = np.mod(along.arc - seam, along.length)
     order = np.argsort(arc)
-    return along._replace(arc=arc[order], start=_place_at(along, seam)), order
+    place, at = _lowest(along)
+    return along._replace(arc=arc[order] - np.mod(at - seam, along.length), start=place), order
 
 
-def _place_at(along: Surface, arc: float) -> Floats:
-    """(2,) The undeformed place at an arc length of a closed surface, m."""
-    corners = np.vstack([along.ends[:, 0], along.ends[-1:, 1]])
-    until = np.concatenate([[0.0], np.cumsum(np.hypot(*(along.ends[:, 1] - along.ends[:, 0]).T))])
-    return np.array([np.interp(arc, until, corners[:, axis]) for axis in (0, 1)])
+def _lowest(along: Surface) -> tuple[Floats, float]:
+    """(2,) The lowest corner of a surface, m, the leftmost of them to rounding, and its arc length."""
+    corners = along.ends[:, 0]
+    until = np.cumsum(np.hypot(*(along.ends[:, 1] - along.ends[:, 0]).T))
+    level = np.round((corners[:, 1] - corners[:, 1].min()) / (LEVEL * along.length))
+    lowest = int(np.lexsort((corners[:, 0], level))[0])
+    return corners[lowest], float(until[lowest - 1]) if lowest else 0.0
 
 
 def touched_range(x: Floats, pressure: Floats) -> tuple[float, float]:
     """The stretch of (k,) places that ever bears, and a little beside it; all where nothing does."""
-    on, last = x[pressure > 0.0], float(np.nanmax(x))
+    on, first, last = x[pressure > 0.0], float(np.nanmin(x)), float(np.nanmax(x))
     if len(on) == 0:
-        return 0.0, last
+        return first, last
     low, high = float(on.min()), float(on.max())
-    space = max(BESIDE * (high - low), 0.01 * last)
-    return max(low - space, 0.0), min(high + space, last)
+    space = max(BESIDE * (high - low), 0.01 * (last - first))
+    return max(low - space, first), min(high + space, last)
 
 
 def draw_history(results: Results, what: str) -> Figure:
@@ -217,7 +227,7 @@ def _steps(results: Results) -> Curves:
 
 
 def _components(history: History, kind: str, letter: str, results: Results) -> dict[str, Floats]:
-    """The x and y columns of a kind of thing, by readable labels.
+    """The x and y columns of a kind of thing, by readable labels, but for those that stay at zero.
 
     Raises
     ------
@@ -228,7 +238,9 @@ def _components(history: History, kind: str, letter: str, results: Results) -> d
     if not names:
         missing = {"contact": "contact pairs", "reaction": "boundaries", "body": "bodies"}[kind]
         raise CaseError(f"{results.path}: the case has no {missing}")
-    return {f"{name.split('.')[1]}, {name[-1]}": history[name] for name in names}
+    largest = max(float(np.max(np.abs(history[name]))) for name in names)
+    shown = [name for name in names if np.max(np.abs(history[name])) > NOTHING * largest] or names
+    return {f"{name.split('.')[1]}, {name[-1]}": history[name] for name in shown}
 
 
 def unit_of(column: str) -> str:

@@ -73,6 +73,7 @@ def map_figure(box: Floats, width: float = 9.0, pictures: int = 1) -> tuple[Figu
 def equal_axes(axes: Axes) -> None:
     """Label the axes in metres, at one scale."""
     axes.set_aspect("equal")
+    axes.locator_params(axis="x", nbins=7)  # labels of six digits would touch
     axes.set_xlabel("x, m")
     axes.set_ylabel("y, m")
 
@@ -89,10 +90,23 @@ def fill(axes: Axes, polygons: Floats, **style: Any) -> Any:
     from phantomnode.pipeline.painted import PaintedCells
 
     kind: Any = PaintedCells if len(polygons) > VERY_MANY else PolyCollection
-    collection = kind(polygons, **({"linewidths": 0.3} | style))
+    # Upright cells must not be moved to whole pixels while their neighbours, a little turned, are not.
+    collection = kind(polygons, **({"linewidths": 0.4, "snap": False} | style))
     collection.set_rasterized(len(polygons) > MANY)
     axes.add_collection(collection)
     axes.autoscale_view()
+    return collection
+
+
+def solid(axes: Axes, obstacles: Floats, width: float) -> Any:
+    """The solid sides of obstacles, (s, 2, 2) their segments: pale, behind all else; strips are so broad, m."""
+    from matplotlib.collections import PolyCollection
+
+    from phantomnode.pipeline.outlines import solid_sides
+
+    sides: Any = solid_sides(obstacles, width)
+    collection = PolyCollection(sides, facecolor="0.86", edgecolor="none", zorder=0.4)
+    axes.add_collection(collection, autolim=False)
     return collection
 
 
@@ -100,7 +114,7 @@ def lines(axes: Axes, ends: Floats, **style: Any) -> Any:
     """Straight lines, (m, 2, 2)."""
     from matplotlib.collections import LineCollection
 
-    collection = LineCollection(list(ends), **style)
+    collection = LineCollection(list(ends), **({"snap": False} | style))
     collection.set_rasterized(len(ends) > MANY)
     axes.add_collection(collection)
     axes.autoscale_view()

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.drawing import box_of, fill, lines, map_figure, moment, readable
+from phantomnode.pipeline.drawing import box_of, fill, lines, map_figure, moment, readable, solid
 from phantomnode.pipeline.frames import FieldsFrame
+from phantomnode.pipeline.outlines import solid_sides
 from phantomnode.pipeline.quantities import Quantity, quantity
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ MARGIN = 0.05
 """Of the size of the bodies, about them."""
 FAR = 0.25
 """Of the size of the bodies: obstacles are shown so far about them, however long they are."""
+SOLID = 0.02
+"""Of the size of a picture: how broad a strip shows on which side an obstacle is solid."""
 MAPS = {"magnitude": "turbo", "signed": "RdBu_r", "ratio": "RdBu_r"}
 
 
@@ -133,7 +136,9 @@ class FieldPicture:
         ]
         if outlines:
             lines(axes, frame.reference[frame.outline], color="0.65", linewidths=0.6, linestyles="--")
-        self._rim = lines(axes, frame.points[frame.outline], color="black", linewidths=0.6)
+        self._rim = lines(axes, frame.points[frame.outline], color="black", linewidths=0.4)
+        self._solid_width = SOLID * float(np.max(box[1] - box[0]))
+        self._solid = solid(axes, frame.obstacles, self._solid_width)
         self._obstacles = lines(axes, frame.obstacles, color="0.35", linewidths=1.8)
         label = f"{self._what.label}, {unit}" if unit else self._what.label
         self.figure.colorbar(self._cells[0], ax=axes, label=label, shrink=0.8, extend=_extend(values, limits))
@@ -149,6 +154,7 @@ class FieldPicture:
             cells.set_verts(shapes)
             cells.set_array(part)
         self._rim.set_segments(list(frame.points[frame.outline]))
+        self._solid.set_verts(solid_sides(frame.obstacles, self._solid_width))
         self._obstacles.set_segments(list(frame.obstacles))
         self._axes.set_title(self._heading(frame), fontsize=10)
 

@@ -121,6 +121,32 @@ def chains(ends: Floats) -> list[Chain]:
     return sorted(found, key=lambda chain: -len(chain.order))
 
 
+def solid_sides(ends: Floats, width: float) -> list[Floats]:
+    """Polygons, (k, 2), that show where obstacles are solid, on the left of their segments.
+
+    The inside of a chain that is closed about it; of others a strip along each segment.
+
+    Parameters
+    ----------
+    ends : (s, 2, 2) float64, m
+        Start and end of each segment.
+    width : float, m
+        Of the strips.
+    """
+    found: list[Floats] = []
+    for chain in chains(ends):
+        start, end = np.moveaxis(ends[chain.order], 1, 0)
+        twice = np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1])
+        if chain.closed and twice > 0.0:
+            found.append(start)
+            continue
+        along = end - start
+        length = np.maximum(np.hypot(*along.T), np.finfo(np.float64).tiny)
+        aside = width * np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
+        found.extend(np.stack([start, end, end + aside, start + aside], axis=1))
+    return found
+
+
 def _following(ends: Floats) -> Ints:
     """(s,) The segment that begins where each one ends, -1 where there is none.
 

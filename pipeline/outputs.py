@@ -57,6 +57,21 @@ UNITS = {
 """By the first word of an output; what is not here is a plain number. Per metre of thickness."""
 
 
+KEY_UNITS = {
+    "cell": "m", "radius": "m", "outer": "m", "inner": "m", "centre": "m", "low": "m", "high": "m", "move": "m",
+    "rotate": "degrees", "end": "s", "step": "s", "E": "Pa", "rho": "kg/m^3", "initial_velocity": "m/s",
+    "displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "gravity": "m/s^2", "pressure": "Pa",
+    "traction": "Pa", "penalty": "Pa/m", "times_E": "1/m",
+}  # fmt: skip
+"""By the last word of a key of the case, without places in lists and what an axis of a vector is called."""
+
+
+def unit_of_key(key: str) -> str:
+    """The unit of a key of the case, as "body.ring.initial_velocity.1"; "" of a plain number or a choice."""
+    words = [word for word in key.split(".") if not word.isdigit() and word not in ("x", "y", "value")]
+    return KEY_UNITS.get(words[-1], "") if words else ""
+
+
 def unit_of(name: str) -> str:
     """The unit of one of :func:`known_outputs`, "" of a plain number."""
     words = name.split(".")

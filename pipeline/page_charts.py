@@ -114,7 +114,7 @@ def pressure_charts(results: Results, times: Sequence[float]) -> list[dict[str, 
                 "xRange": touched_range(x, smooth[:, order].max(axis=0)),
                 "xLabel": f"arc length, {arc_unit}",
                 "yLabel": unit,
-                "note": f"Through the hat filter, on the undeformed surface, from {start_of(along)} on.",
+                "note": f"Through the hat filter, on the undeformed surface, 0 at {start_of(along)}.",
                 "largest": float(smooth.max() * factor),
                 "frames": packed((smooth[:, order] * factor).astype(np.float32)),
             }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from phantomnode.geometry.doubling import CutMesh
 from phantomnode.pipeline.gaps import initial_gaps
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
@@ -63,11 +64,24 @@ def estimated_memory(prepared: Prepared) -> float:
 
 
 def step_place(prepared: Prepared) -> Floats:
-    """(2,) The middle of the element that sets the stable step, m."""
+    """(2,) The middle of the material of the element that sets the stable step, m."""
     model, number = prepared.model, prepared.estimate.element
     uncut = len(model.elements.nodes)
-    nodes = model.elements.nodes[number] if number < uncut else model.cut_elements.nodes[number - uncut]
-    return np.asarray(model.x[nodes].mean(axis=0))
+    if number < uncut:
+        return np.asarray(model.x[model.elements.nodes[number]].mean(axis=0))
+    body = next(each for each in prepared.bodies if number - uncut < each.cut_elements.stop)
+    cut = np.flatnonzero(body.mesh.cut)
+    return element_place(body.mesh, int(cut[number - uncut - body.cut_elements.start]))
+
+
+def element_place(mesh: CutMesh, element: int) -> Floats:
+    """(2,) The middle of the material of an element of a body, m."""
+    own = mesh.triangles[mesh.triangle_element == element]
+    if len(own) == 0:
+        return np.asarray(mesh.xy[mesh.elements[element]].mean(axis=0))
+    a, b = own[:, 1] - own[:, 0], own[:, 2] - own[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    return np.asarray(np.average(own.mean(axis=1), axis=0, weights=area))
 
 
 def estimated_disk(prepared: Prepared) -> float:

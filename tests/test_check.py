@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from matplotlib.collections import PolyCollection
 
 from phantomnode.pipeline import check_picture
 from phantomnode.pipeline.case import case_from_table, load_case
 from phantomnode.pipeline.gaps import initial_gaps
-from phantomnode.pipeline.preflight import _bytes, estimated_disk, step_place, text_report
+from phantomnode.pipeline.preflight import _bytes, element_place, estimated_disk, step_place, text_report
 from phantomnode.pipeline.prepare import Prepared, prepare
 from phantomnode.pipeline.run import run
 
@@ -126,6 +127,10 @@ def test_the_picture_names_what_it_shows(apart: Prepared, monkeypatch, fine: int
         "fall: slave block.bottom, gap 0.03 m",
         "base: y held (21 nodes)",
         "push: load (12 nodes)",
+        "uncut cells, a colour a body",
+        "cut cells",
+        "real nodes (right)",
+        "phantom nodes (right)",
     }
     least = min(float(body.mesh.fraction.min()) for body in apart.bodies)
     titles = [axes.get_title() for axes in close]
@@ -139,6 +144,16 @@ def test_the_picture_names_what_it_shows(apart: Prepared, monkeypatch, fine: int
     triangles = sum(len(body.mesh.triangles) for body in apart.bodies)
     uncut = sum(int((~body.mesh.cut).sum()) for body in apart.bodies)
     assert drawn == (triangles + uncut if fine else 0)
+
+
+def test_what_sets_the_step_is_marked_on_its_material(apart: Prepared) -> None:
+    """Not beside it, where a cut cell has none: the middle of its triangles, by brute force."""
+    for body in apart.bodies:
+        mesh = body.mesh
+        for element in np.flatnonzero(mesh.cut):
+            own = [shapely.Polygon(t) for t in mesh.triangles[mesh.triangle_element == element]]
+            whole = shapely.union_all(own)
+            np.testing.assert_allclose(element_place(mesh, int(element)), whole.centroid.coords[0], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+import shapely
 from small_run import TABLE, small_run
 
 from phantomnode import open_results
@@ -21,14 +22,17 @@ from phantomnode.pipeline.curve_pictures import (
     draw_history,
     draw_pressure,
     energies,
+    unrolled,
 )
 from phantomnode.pipeline.drawing import readable
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.field_pictures import joint_limits, limits_of, map_of
 from phantomnode.pipeline.film import write_film
 from phantomnode.pipeline.frames import FieldsFrame
+from phantomnode.pipeline.outlines import solid_sides
 from phantomnode.pipeline.plot import parse_time, picture, plot_files
 from phantomnode.pipeline.quantities import QUANTITIES, quantity
+from phantomnode.pipeline.results import Surface
 from phantomnode.pipeline.vtu_reader import read_pvd, read_vtu
 
 
@@ -262,6 +266,33 @@ class TestPictures:
             plot_files(results, ["energies"], ["end"], tmp_path / name)
         assert b"<svg" in (tmp_path / "a.svg").read_bytes()
         assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+    @pytest.mark.parametrize("first", [0, 3, 7])
+    def test_arc_length_counts_from_the_lowest_place_wherever_a_surface_is_cut(self, first):
+        """A square of eight segments, counter-clockwise; only the middles of the lower side and of the left bear."""
+        corners = np.array([[0, 0], [1, 0], [2, 0], [2, 1], [2, 2], [1, 2], [0, 2], [0, 1]], dtype=float)
+        ends = np.roll(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1), -first, axis=0)
+        arc, zero = np.arange(8) + 0.5, np.zeros(8, dtype=int)
+        along = Surface(np.arange(8), arc, zero, True, ends, ends[0, 0], 8.0)
+        middle = ends.mean(axis=1)
+        touched = (middle[:, 1] == 0.0) | ((middle[:, 0] == 0.0) & (middle[:, 1] < 1.0))
+        cut, order = unrolled(along, touched)
+        assert cut.start.tolist() == [0.0, 0.0]
+        assert np.all(np.diff(cut.arc) > 0.0)
+        place = dict(zip(map(tuple, middle[order]), cut.arc, strict=True))
+        assert place[0.5, 0.0] == pytest.approx(0.5) and place[1.5, 0.0] == pytest.approx(1.5)
+        assert place[0.0, 0.5] == pytest.approx(-0.5)  # on the other side of the lowest place
+
+    def test_obstacles_show_where_they_are_solid(self):
+        """Closed: the inside; open, or solid outside: strips on the left."""
+        square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
+        ends = np.stack([square, np.roll(square, -1, axis=0)], axis=1)
+        (inside,) = solid_sides(ends, 0.1)
+        assert abs(shapely.Polygon(inside).area) == pytest.approx(1.0)
+        strips = [shapely.Polygon(side) for side in solid_sides(ends[::-1, ::-1], 0.1)]
+        assert len(strips) == 4 and not any(strip.intersects(shapely.Point(0.5, 0.5)) for strip in strips)
+        (floor,) = solid_sides(np.array([[[2.0, 0.0], [-2.0, 0.0]]]), 0.1)
+        assert shapely.Polygon(floor).bounds == pytest.approx((-2.0, -0.1, 2.0, 0.0))
 
     def test_without_a_time_fields_are_at_the_peak_and_pressure_while_it_bears(self, results, tmp_path):
         (_, field), (_, pressure) = plot_files(results, ["J", "contact_pressure"], [], tmp_path)

@@ -15,7 +15,7 @@ from phantomnode.pipeline.axes import Axis, Samples, axis_values
 from phantomnode.pipeline.case import bundled_cases, case_from_table
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.names import LONGEST, unique_names
-from phantomnode.pipeline.outputs import known_outputs, output_of, unit_of
+from phantomnode.pipeline.outputs import known_outputs, output_of, unit_of, unit_of_key
 from phantomnode.pipeline.sweep import load_study
 
 SPEED = {"key": "body.part.initial_velocity.1", "values": [-10.0, -20.0]}
@@ -201,3 +201,19 @@ def test_every_output_is_in_the_summary_of_a_run(tmp_path: Path) -> None:
     assert all(isinstance(value, int | float) for value in found.values()), found
     assert unit_of("variant.soft.peak_contact_force.landing") == "N/m" and unit_of("counts.cut") == ""
     assert found["velocity.disc.start.y"] == pytest.approx(-50.0) and found["contact_phases.landing"] == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [
+        ("body.ring.initial_velocity.1", "m/s"),
+        ("body.ring.grid.cell", "m"),
+        ("boundary.base.velocity.y", "m/s"),
+        ("contact.a.penalty.times_E", "1/m"),
+        ("contact.a.penalty.value", "Pa/m"),
+        ("contact.a.friction", ""),
+        ("method", ""),
+    ],
+)
+def test_keys_have_units(key, unit):
+    assert unit_of_key(key) == unit
