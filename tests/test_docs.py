@@ -95,6 +95,7 @@ def test_the_page_runs_as_it_stands(name: str, tmp_path: Path, monkeypatch: pyte
             "results/bumper/preview.png",
             "results/bumper/report.html",
             "results/finer/fields.pvd",
+            "results/edge/fields.pvd",
         ],
         "cases/how_it_works.md": [
             "results/ring_impact/plot.nodes.png",
