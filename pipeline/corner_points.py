@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from phantomnode.geometry.bilinear import shape
 from phantomnode.pipeline.bodies import CutBody
@@ -135,8 +136,10 @@ def _one_pass(
     sign: float,
 ) -> ContactPass:
     """Corners against a surface, at the full penalty: no other points stand where they stand."""
-    near = np.linalg.norm(corners.place[:, None] - corners.place, axis=2) <= MEETING * widest
-    weight = WEIGHT * cell / near.sum(axis=1)
+    one, other = cKDTree(corners.place).query_pairs(MEETING * widest, output_type="ndarray").T
+    pairs, count = np.concatenate([one, other]), len(corners.place)
+    weight = np.asarray(WEIGHT * cell / (1.0 + np.bincount(pairs, minlength=count)), dtype=np.float64)
+    gathered = weight + np.bincount(pairs, weight[np.concatenate([other, one])], count)
     return replace(
         main,
         slave=_lone_points(corners, weight),
@@ -144,7 +147,7 @@ def _one_pass(
         penalty=penalties[0],
         tangential_penalty=penalties[1],
         sign=sign,
-        crowd=float(np.max(near @ weight)),
+        crowd=float(np.max(gathered)),
         allowed=ALLOWED * cell,
     )
 
