@@ -15,6 +15,7 @@ from phantomnode.geometry.findings import HEALED, WRONG
 from phantomnode.geometry.limits import TIME_LIMIT
 from phantomnode.geometry.readers import read_geometry
 from phantomnode.geometry.units import metres, size_note
+from phantomnode.geometry.walls import thinnest_wall
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -98,6 +99,7 @@ def report(found: Inspection) -> RenderableType:
             f"area, {unit}^2",
             f"size, {unit}",
             f"from, {unit}",
+            f"wall, {unit}",
             "holes",
             "lines",
             "arcs",
@@ -146,13 +148,15 @@ def _region_rows(geometry: Geometry, has_unit: bool) -> Iterator[tuple[str, ...]
         low, high = region.box / factor
         bulges = np.concatenate([loop.bulges for loop in region.loops])
         arcs = int(np.count_nonzero(bulges))
+        wall = thinnest_wall([region]) / factor
         yield (
             str(k + 1), region.name or region.outer.name, f"{region.area / factor**2:.8g}",
             f"{high[0] - low[0]:.6g} x {high[1] - low[1]:.6g}", f"({low[0]:.6g}, {low[1]:.6g})",
-            str(len(region.holes)), str(len(bulges) - arcs), str(arcs), ", ".join(part_names((region,))),
+            f"{wall:.3g}" if np.isfinite(wall) else "-", str(len(region.holes)),
+            str(len(bulges) - arcs), str(arcs), ", ".join(part_names((region,))),
         )  # fmt: skip
     if len(geometry.regions) > MOST_ROWS:
-        yield (f"and {len(geometry.regions) - MOST_ROWS} more", *("",) * 8)
+        yield (f"and {len(geometry.regions) - MOST_ROWS} more", *("",) * 9)
 
 
 def _curve_rows(geometry: Geometry, has_unit: bool) -> Iterator[tuple[str, ...]]:
