@@ -79,7 +79,7 @@ class Contact(Table):
     )
     corners: Switch = Field(
         default=True,
-        description="sharp corners of either surface are points too, felt from a depth of 0.02 cells on; without "
+        description="sharp corners of either surface are points too, felt from a depth of 0.01 cells on; without "
         "them a corner can sink in between two points of the slave",
     )
     overlap: Literal["refuse", "offset"] = Field(

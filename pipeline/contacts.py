@@ -12,7 +12,7 @@ from phantomnode.geometry.levelset import LevelSet
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import Contact as ContactTable
 from phantomnode.pipeline.contact_tables import Penalty
-from phantomnode.pipeline.corner_points import corner_passes
+from phantomnode.pipeline.corner_points import with_corners
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.pairing import NOBODY, ContactPass, SlaveSide, master_side, slave_side
 from phantomnode.pipeline.rigid import Rigid
@@ -110,7 +110,7 @@ def contact_passes(
         mine[1:] = [replace(each, sign=-1.0) for each in mine[1:]]
         if table.corners and _owner(table.slave, case) != _owner(table.master, case):
             penalties = table_share(table) * mine[0].penalty, table_share(table) * mine[0].tangential_penalty
-            mine += corner_passes(mine[0], *ends[0], cut, first_node, table.points, penalties)
+            mine = with_corners(mine, *ends[0], cut, first_node, table.points, penalties)
         passes += mine
     return passes
 

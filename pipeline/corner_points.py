@@ -2,9 +2,12 @@
 
 Slave points stand between the ends of the segments: a corner of the master sinks in between two of them before any
 is felt, and a corner of the slave goes a fifth of a cell deep before its nearest point touches. Corners are
-therefore points as well, those of either surface against the other. A corner weighs as much as the end point of a
-two-point Radau rule, a quarter of a cell, and is felt from a small depth on only: where surfaces lie flat on each
-other the other points bear all, so that a constant pressure stays constant.
+therefore points as well, those of either surface against the other. They are felt from a small depth on only: where
+surfaces lie flat on each other the other points bear all, so that a constant pressure stays constant.
+
+The tip of a wedge in a flat face is pushed back along the normal of the face, by its corner. A slave point that
+stands in the tip would be pushed out through a flank instead, aside: with a sharp tip twice as hard as back. For all
+other points corners of the master are therefore cut off, .15 of a cell before the tip.
 """
 
 from __future__ import annotations
@@ -20,7 +23,15 @@ from scipy.spatial import cKDTree
 from phantomnode.geometry.bilinear import shape
 from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import SlavePoints
-from phantomnode.pipeline.pairing import NOBODY, ContactPass, MasterSide, SlaveSide, master_side
+from phantomnode.pipeline.pairing import (
+    NOBODY,
+    ContactPass,
+    MasterSide,
+    SlaveSide,
+    master_side,
+    point_rule,
+    previous_of,
+)
 from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.surfaces import Surface, closed_surface
 
@@ -31,12 +42,22 @@ SHARP = math.radians(20.0)
 """A surface that turns by more at a vertex has a corner there: more than the pieces of an arc over a cell do."""
 
 
-WEIGHT = 0.05
-"""Of a corner, in cells of the slave."""
+WEIGHT = 0.07
+"""Of a corner, in cells of the slave: a heavier one shortens the step where cells are cut small, a lighter one sinks
+in until other points meet the master beside it."""
 
-ALLOWED = 0.02
-"""Depth, in cells of the slave, up to which a corner feels nothing: what a pressure of E/10 takes at the automatic
+ALLOWED = 0.01
+"""Depth, in cells of the slave, up to which a corner feels nothing: what a pressure of E/20 takes at the automatic
 penalty, 5 E/h."""
+
+CUT_OFF = 0.15
+"""Of a cell of the slave: how far before a corner it is cut off on either side."""
+
+BESIDE = 0.9
+"""Of the way from the end of a segment to its first slave point, which no cut reaches, so that flat faces of equal
+width bear each other to their ends; and MOST of the segments that meet at a corner."""
+
+MOST = 0.45
 
 MEETING = 3.0
 """Corners that are nearer to each other than this, in diagonals of the largest cell on the other surface, can stand
@@ -66,6 +87,33 @@ def sharp(ends: Floats, following: Ints) -> Ints:
     (ax, ay), (bx, by) = along[here].T, along[following[here]].T
     turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
     return np.asarray(here[turn > SHARP])
+
+
+def with_corners(
+    passes: list[ContactPass],
+    slave: Surface,
+    master: Surface | Rigid,
+    cut: dict[str, CutBody],
+    first_node: dict[str, int],
+    points: SlavePoints,
+    penalties: tuple[float, float],
+) -> list[ContactPass]:
+    """The passes of a pair with corners cut off their masters, and behind them those of the corners.
+
+    The parameters are those of :func:`corner_passes`.
+    """
+    depth = cut_depth(cut[slave.body].grid.typical_size, points)
+    rounded = []
+    for each, side in zip(passes, (master, slave), strict=False):
+        xy, first = (
+            (side.xy, side.nodes.start)
+            if isinstance(side, Rigid)
+            else (cut[side.body].mesh.xy, first_node[side.body])
+        )
+        x, masters = xy[each.master.nodes - first], each.master
+        ends = np.stack([np.einsum("si,sia->sa", shape, x) for shape in (masters.start, masters.end)], axis=1)
+        rounded.append(replace(each, master=cut_off(masters, ends, depth)))
+    return rounded + corner_passes(passes[0], slave, master, cut, first_node, points, penalties)
 
 
 def corner_passes(
@@ -124,6 +172,65 @@ def body_corners(body: CutBody, chosen: Ints, first_node: int) -> CornerPoints:
     at = at[np.isin(at, chosen) | np.isin(segments.following[at], chosen)]
     nodes = mesh.nodes(segments.element[at]) + first_node
     return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1])
+
+
+def cut_off(side: MasterSide, ends: Floats, depth: float) -> MasterSide:
+    """The masters with sharp corners cut off by a segment more for each.
+
+    Parameters
+    ----------
+    side : MasterSide
+    ends : (m, 2, 2) float64, metres
+        Start and end of its segments in the reference configuration.
+    depth : float, m
+        How far before a corner on either side; less where a segment is short.
+
+    A corner between segments that have more than four nodes in all stays, since no segment could join the two.
+    """
+    length, new = np.hypot(*(ends[:, 1] - ends[:, 0]).T), list[tuple[Ints, Floats, Floats, int, int]]()
+    start, end, following = side.start.copy(), side.end.copy(), side.following.copy()
+    for s in sharp(ends, side.following) if depth > 0.0 else ():
+        n = side.following[s]
+        back, onward = (min(depth / length[k], MOST) for k in (s, n))
+        end[s] = (1.0 - back) * side.end[s] + back * side.start[s]
+        start[n] = (1.0 - onward) * side.start[n] + onward * side.end[n]
+        joined = _on_common_nodes((side.nodes[s], end[s]), (side.nodes[n], start[n]))
+        if joined is None:
+            end[s], start[n] = side.end[s], side.start[n]
+            continue
+        following[s] = len(following) + len(new)
+        new.append((*joined, s, n))
+    if not new:
+        return side
+    nodes, starts, ends_of_new, before, after = zip(*new, strict=True)
+    following = np.concatenate([following, after])
+    return MasterSide(
+        nodes=np.concatenate([side.nodes, nodes]),
+        start=np.concatenate([start, starts]),
+        end=np.concatenate([end, ends_of_new]),
+        previous=previous_of(following),
+        following=following,
+        place=np.concatenate([side.place, side.place[list(before)]]),
+    )
+
+
+def _on_common_nodes(
+    one: tuple[Ints, Floats], other: tuple[Ints, Floats]
+) -> tuple[Ints, Floats, Floats] | None:
+    """Two points with their four nodes each as points of the same four nodes; None where they have more."""
+    used = np.unique(np.concatenate([nodes[values != 0.0] for nodes, values in (one, other)]))
+    if len(used) > 4:
+        return None
+    nodes = np.concatenate([used, np.repeat(used[-1:], 4 - len(used))])
+    shapes = np.zeros((2, 4))
+    for row, (own, values) in zip(shapes, (one, other), strict=True):
+        np.add.at(row, np.searchsorted(used, own[values != 0.0]), values[values != 0.0])
+    return nodes, shapes[0], shapes[1]
+
+
+def cut_depth(cell: float, points: SlavePoints) -> float:
+    """How far before a corner it is cut off, m, for slave points by a rule on segments of about a cell."""
+    return float(min(CUT_OFF, BESIDE * point_rule(points)[0][0]) * cell)
 
 
 def _one_pass(

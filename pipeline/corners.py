@@ -68,15 +68,22 @@ def master_corners(prepared: Prepared, number: int) -> Corners:
     """The corners that stick out of the master of a pair; none in self contact."""
     contact, pair = prepared.model.contact, prepared.pairs[number]
     k = pair.passes[0]
-    first, last = contact.master_first[k : k + 2]
-    own = len(contact.exclusion) > 0 and contact.exclusion[k] > 0.0
-    following = contact.following[first:last]
-    following = np.full_like(following, -1) if own else np.where(following >= 0, following - first, -1)
-    at = first + sharp(master_ends(prepared, k), following)
+    if pair.corners:
+        theirs = [c for c in pair.corners if contact.sign[c] < 0.0]
+        points = np.concatenate(
+            [np.arange(*contact.slave_first[c : c + 2]) for c in theirs] or [np.zeros(0, int)]
+        )
+        nodes, shape = contact.slave_nodes[points], contact.slave_shape[points]
+    else:
+        first, last = contact.master_first[k : k + 2]
+        own = len(contact.exclusion) > 0 and contact.exclusion[k] > 0.0
+        following = contact.following[first:last]
+        following = np.full_like(following, -1) if own else np.where(following >= 0, following - first, -1)
+        at = first + sharp(master_ends(prepared, k), following)
+        nodes, shape = contact.master_nodes[at], contact.end_shape[at]
     return Corners(
-        contact.master_nodes[at], contact.end_shape[at], pair.segment_nodes, pair.start_shape,
-        pair.end_shape, float(contact.reach[k]),
-    )  # fmt: skip
+        nodes, shape, pair.segment_nodes, pair.start_shape, pair.end_shape, float(contact.reach[k])
+    )
 
 
 def deepest_corner(corners: Corners, x: Floats, u: Floats) -> float:

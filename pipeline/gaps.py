@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.prepare import Floats, Ints, Prepared
 
 
@@ -33,7 +34,8 @@ def initial_gaps(prepared: Prepared) -> list[Gap | None]:
             found.append(None)
             continue
         slave = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
-        master = master_ends(prepared, pair.passes[0])
+        # Points see the master with its sharp corners cut off; these are points of their own.
+        master = np.concatenate([master_ends(prepared, pair.passes[0]), _corners(prepared, pair)])
         # From either side: what is nearest may be a corner of the one or of the other.
         way = min(_shortest(slave, master), _shortest(master, slave)[::-1], key=_length)
         depth = float(contact.offset[pair.points].max(initial=0.0))
@@ -55,6 +57,16 @@ def _shortest(ends: Floats, others: Floats) -> Floats:
 
 def _length(way: Floats) -> float:
     return float(np.hypot(*(way[1] - way[0])))
+
+
+def _corners(prepared: Prepared, pair: Pair) -> Floats:
+    """(c, 2, 2) The sharp corners of the master of a pair as segments without length, m."""
+    contact, found = prepared.model.contact, [np.zeros((0, 2, 2))]
+    for k in (k for k in pair.corners if contact.sign[k] < 0.0):
+        points = slice(*contact.slave_first[k : k + 2])
+        shape = contact.slave_shape[points]
+        found.append(ends_of(prepared, contact.slave_nodes[points], shape, shape))
+    return np.concatenate(found)
 
 
 def ends_of(prepared: Prepared, nodes: Ints, start: Floats, end: Floats) -> Floats:

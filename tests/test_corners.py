@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from test_pairs import body, prepared_of, run
 
+from phantomnode.pipeline.contact_tables import SlavePoints
+from phantomnode.pipeline.corner_points import WEIGHT, cut_depth, cut_off
 from phantomnode.pipeline.corners import deepest_corner, master_corners
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import contact_lines
 from phantomnode.pipeline.gaps import initial_gaps
 from phantomnode.pipeline.history import tangential_force
+from phantomnode.pipeline.pairing import MasterSide, previous_of
 from phantomnode.pipeline.summary import run_checks
 from phantomnode.pipeline.tally import Tally
 from phantomnode.solver.contact import add_contact_forces, contact_energy
@@ -103,7 +106,7 @@ def test_self_contact_has_no_corners_of_another():
 # --- corners as points of contact -------------------------------------------------------------------------
 
 UP = {"polyline": {"points": [[1.0, -0.6], [0.13, -0.02], [-1.0, -0.5]]}}
-CELL, DEEP = 0.1, 0.02 * 0.1  # the cell of the block, and how deep a corner stands before it is felt
+CELL, DEEP = 0.1, 0.01 * 0.1  # the cell of the block, and how deep a corner stands before it is felt
 
 
 def landing(obstacle=UP, geometry=None, slave="block.bottom", step=None, end=0.03, **pair):
@@ -122,7 +125,7 @@ def landing(obstacle=UP, geometry=None, slave="block.bottom", step=None, end=0.0
 
 @pytest.mark.parametrize("shift", [0.0, 0.013, 0.037, 0.05])
 def test_a_wedge_is_felt_wherever_it_meets_a_slave_segment(shift):
-    """Gap 0.02 at 1 m/s: felt after 0.02 s and what a corner may stand deep, 0.002, at most, and two samples.
+    """Gap 0.02 at 1 m/s: felt after 0.02 s and what a corner may stand deep, 0.001, at most, and two samples.
 
     Gauss points alone feel it up to 4e-2 later, as it stands between two of them. It never goes much deeper.
     """
@@ -144,7 +147,7 @@ def test_a_corner_of_the_slave_is_felt_first():
     prepared = landing(floor, tip, "block.outer")
     seen = run(prepared, 600)
     touched = next(f.time for f in seen if f.pair_force[0, 1] > 0.0)
-    deep = 0.02 * prepared.bodies[0].grid.typical_size
+    deep = 0.01 * prepared.bodies[0].grid.typical_size
     assert touched == pytest.approx(0.011 + deep, abs=2.5 * (0.03 / 600 + prepared.dt))
 
 
@@ -240,12 +243,73 @@ def test_corners_that_can_meet_on_one_node_share_their_weight():
         return contact.slave_weight[contact.slave_first[k] : contact.slave_first[k + 1]], contact.crowd[k]
 
     near, crowd = weights(0.04)
-    assert len(near) == 3 and crowd == pytest.approx(0.05 * CELL) == pytest.approx(near.sum())
+    assert len(near) == 3 and crowd == pytest.approx(WEIGHT * CELL) == pytest.approx(near.sum())
     far, crowd = weights(0.45)
-    assert len(far) == 3 and np.allclose(far, 0.05 * CELL) and crowd == pytest.approx(0.05 * CELL)
+    assert len(far) == 3 and np.allclose(far, WEIGHT * CELL) and crowd == pytest.approx(WEIGHT * CELL)
 
 
 def test_a_corner_far_inside_at_the_start_is_refused():
     deep = {"polyline": {"points": [[0.177, -0.6], [0.157, 0.03], [0.137, -0.6]]}}
     with pytest.raises(CaseError, match="overlap at the start by 0.03 m near .0.157, 0.03."):
         landing(deep)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.0211, 0.05, 0.0789, 0.085])
+def test_a_wedge_pushes_a_flat_face_back_and_not_aside(shift):
+    """Wherever its tip stands on a segment, at and beside Gauss points (0.0211, 0.0789), too.
+
+    Half its angle is 27 degrees: a point within the tip, pushed out through the flank, is pushed aside twice as hard.
+    What is left, 6 %, is that of a block that is met beside its centre and turns: it grows with the shift.
+    """
+    wedge = {"polygon": {"points": [[shift, -0.004], [shift - 0.25, -0.5], [shift + 0.25, -0.5]]}}
+    impulse = run(landing(wedge, end=0.05), 100)[-1].pair_impulse[0]
+    assert impulse[1] > 900.0  # of 640 kg/m at 1 m/s: it bounces off
+    assert abs(impulse[0]) < 0.06 * impulse[1]
+
+
+def square_side():
+    """The four sides of a unit square, counter-clockwise, on its corners; these, and the ends of the sides."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+    nodes = np.array([[k, (k + 1) % 4, (k + 1) % 4, (k + 1) % 4] for k in range(4)])
+    unit = np.eye(4)
+    following = np.array([1, 2, 3, 0])
+    side = MasterSide(
+        nodes, np.repeat(unit[:1], 4, axis=0), np.repeat(unit[1:2], 4, axis=0), previous_of(following), following,
+        np.tile([-2.0, 0.0, 0.0, np.inf], (4, 1)),
+    )  # fmt: skip
+    return side, corners, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+def test_corners_are_cut_off_by_a_segment_each():
+    """A square becomes an octagon, whose sides follow each other; long cuts stop short of the next corner."""
+    side, corners, ends = square_side()
+    for depth, cut in ((0.1, 0.1), (3.0, 0.45)):
+        found = cut_off(side, ends, depth)
+        start, end = (
+            np.einsum("si,sia->sa", shape, corners[found.nodes]) for shape in (found.start, found.end)
+        )
+        assert len(start) == 8 and sorted(found.following) == list(range(8))
+        np.testing.assert_allclose(end, start[found.following], atol=1e-15)
+        assert np.array_equal(found.previous[found.following], np.arange(8))
+        length = np.hypot(*(end - start).T)
+        np.testing.assert_allclose(length, np.repeat([1.0 - 2.0 * cut, cut * np.sqrt(2.0)], 4), rtol=1e-12)
+        area = 0.5 * np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1])
+        assert area == pytest.approx(1.0 - 2.0 * cut**2)
+
+
+def test_a_corner_on_more_than_four_nodes_stays():
+    """Sides in cells of their own, whose points take all four nodes: no segment could join them."""
+    side, _, ends = square_side()
+    apart = replace(
+        side, nodes=np.arange(16).reshape(4, 4), start=np.full((4, 4), 0.25), end=np.full((4, 4), 0.25)
+    )
+    assert cut_off(apart, ends, 0.1) is apart
+    assert cut_off(side, ends, 0.0) is side  # where slave points stand at the very ends
+
+
+def test_cuts_end_before_the_first_slave_point():
+    """Two Gauss points stand at 0.211 of a segment, three at 0.113; Newton-Cotes points at its ends."""
+    cell, first = 0.2, 0.5 - np.sqrt(0.15)
+    assert cut_depth(cell, SlavePoints()) == pytest.approx(0.15 * cell)
+    assert cut_depth(cell, SlavePoints(count=3)) == pytest.approx(0.9 * first * cell)
+    assert cut_depth(cell, SlavePoints(rule="newton-cotes", count=3)) == 0.0

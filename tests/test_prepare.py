@@ -176,8 +176,8 @@ def test_an_overlap_at_the_start_is_refused_or_measured_from() -> None:
     offset = case.model.contact.offset
     assert np.allclose(offset[case.pairs[0].points], 0.05, rtol=1e-6)
     below, above = (slice(*case.model.contact.slave_first[k : k + 2]) for k in case.pairs[0].corners)
-    assert np.allclose(offset[below], 0.02 * 0.25) and np.allclose(
-        offset[above], 0.05 + 0.02 * 0.25, rtol=1e-6
+    assert np.allclose(offset[below], 0.01 * 0.25) and np.allclose(
+        offset[above], 0.05 + 0.01 * 0.25, rtol=1e-6
     )
 
 
