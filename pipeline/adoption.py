@@ -79,9 +79,6 @@ WAVE = 5900.0
 WAVES = 8.0
 """Ways of a wave across the part that a run takes after the fall."""
 
-ROUNDING = 0.05
-"""What two digits of a cell may miss."""
-
 MOST_BODIES = 8
 """Regions that become bodies, the largest first."""
 
@@ -232,7 +229,7 @@ def cell_for(region: Region, wall: float) -> float:
     """A cell, m: four to the thinnest wall or the mean width of the region, as far as the number of cells allows."""
     length = float(sum(loop.lengths.sum() for loop in region.loops))
     width, height = region.box[1] - region.box[0]
-    return _rounded(
+    return _rounded_down(
         max(
             min(2.0 * region.area / length, wall) / ENOUGH,
             float(np.sqrt(region.area / MOST_CELLS)),
@@ -246,9 +243,15 @@ def _through(cell: float, wall: float) -> str:
     if wall > 2.0 * ENOUGH * cell:
         return "smaller cells are truer, and take longer: half the size eight times"
     told = f"{wall / cell:.2g} through the thinnest wall, {wall:.2g} m"
-    if wall >= ENOUGH * cell * (1.0 - ROUNDING):
+    if wall >= ENOUGH * cell:
         return told
     return f"{told} ({ENOUGH} bend right: {(ENOUGH * cell / wall) ** 3:.2g} times the time)"
+
+
+def _rounded_down(value: float) -> float:
+    """The value to two digits, no more than it is."""
+    rounded, last = _rounded(value), 10.0 ** (np.floor(np.log10(value)) - 1.0)
+    return _rounded(rounded - last) if rounded > value * (1.0 + 1e-9) else rounded
 
 
 def _rounded(value: float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from phantomnode.pipeline.ledger import Ledger
 from phantomnode.pipeline.names import word
 from phantomnode.pipeline.one_case import DONE
-from phantomnode.pipeline.outputs import output_of, unit_of, unit_of_key
+from phantomnode.pipeline.outputs import in_words, named, output_of, unit_of, unit_of_key
 from phantomnode.pipeline.sweep import Plot
 
 MOST_LABELS = 12
@@ -75,12 +75,6 @@ def _x_unit(ledger: Ledger, plot: Plot) -> str:
     return "" if axis.names else unit_of_key(axis.paths[0])
 
 
-def _named(name: str, unit: str) -> str:
-    """Words for people, with a unit: "peak contact force, landing, MN/m"."""
-    words = ", ".join(part.replace("_", " ") for part in name.split("."))
-    return f"{words}, {unit}" if unit else words
-
-
 def _draw(plot: Plot, found: Curves, x_unit: str, title: str, path: Path) -> None:
     """One picture."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -96,7 +90,7 @@ def _draw(plot: Plot, found: Curves, x_unit: str, title: str, path: Path) -> Non
         x = [value if _numeric(points) else word(value) for value, _ in points]
         axes.plot(x, [factor * y for _, y in points], marker="o", markersize=4.0, linewidth=1.0, label=label)
     axes.ticklabel_format(axis="y", useOffset=False)
-    axes.set(xlabel=_named(plot.x, x_unit), ylabel=_named(plot.y, unit), title=title)
+    axes.set(xlabel=named(in_words(plot.x), x_unit), ylabel=named(in_words(plot.y), unit), title=title)
     for direction in plot.log:
         getattr(axes, f"set_{direction}scale")("log")
     if 1 < len(found) <= MOST_LABELS:

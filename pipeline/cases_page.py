@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.one_case import DONE
-from phantomnode.pipeline.outputs import CASE_COLUMNS, SCALARS, known_outputs, output_of, with_unit
+from phantomnode.pipeline.outputs import (
+    CASE_COLUMNS,
+    SCALARS,
+    in_words,
+    known_outputs,
+    named,
+    output_of,
+    unit_of_key,
+    with_unit,
+)
 from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render, titled
 from phantomnode.pipeline.results import open_results
+from phantomnode.pipeline.sweep import COPY
 
 PAGE = "report.html"
 GALLERY, THUMBNAIL = 12, 560
@@ -38,6 +50,37 @@ class Compared(NamedTuple):
     inputs: dict[str, Any]
     outputs: dict[str, float | None]
     doubts: tuple[str, ...] | None
+
+
+class Asked(NamedTuple):
+    """What a sweep says of its page: its title, the outputs that it wants, units of axes and words for its plots."""
+
+    title: str = ""
+    outputs: tuple[str, ...] = ()
+    units: Mapping[str, str] = MappingProxyType({})
+    plots: Mapping[str, str] = MappingProxyType({})
+
+
+NOTHING_ASKED = Asked()
+"""Of runs that no sweep made."""
+
+
+def asked_of(batch: Path) -> Asked:
+    """What the copy of its sweep says in the folder of a batch; its name is the title of one that has none."""
+    try:
+        sweep = tomllib.loads((batch / COPY).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return Asked(batch.resolve().name)
+    axes = {name: axis for name, axis in sweep.get("axis", {}).items() if "names" not in axis}
+    return Asked(
+        sweep.get("title") or batch.resolve().name,
+        tuple(sweep.get("outputs", ())),
+        {name: unit_of_key(axis["key"] if "key" in axis else axis["keys"][0]) for name, axis in axes.items()},
+        {
+            name: f"{in_words(plot['y'])} over {in_words(plot['x'])}"
+            for name, plot in sweep.get("plot", {}).items()
+        },
+    )
 
 
 def compared_cases(batch: Path) -> list[Compared]:
@@ -83,12 +126,13 @@ def compared_runs(folders: dict[str, Path]) -> list[Compared]:
     return runs
 
 
-def cases_page(title: str, cases: Sequence[Compared], home: Path, drawn: Sequence[Path] = ()) -> str:
+def cases_page(asked: Asked, cases: Sequence[Compared], home: Path, drawn: Sequence[Path] = ()) -> str:
     """The page.
 
     Parameters
     ----------
-    title : str
+    asked : Asked
+        Its title, and what it is to show first.
     cases : sequence of Compared
     home : Path
         The folder of the page, from which its links lead to those of the cases.
@@ -102,21 +146,21 @@ def cases_page(title: str, cases: Sequence[Compared], home: Path, drawn: Sequenc
     lead = f"{len(doubtful)} of them kept not all of their checks." if doubtful else ""
     pictures = [
         *(picture_in(file, titled(file)) for file in drawn),
-        *_plots(home),
+        *_plots(home, asked),
         *_gallery(cases),
     ]
     laid = overlay({case.name: case.folder for case in cases})
     return render(
         "cases.html",
-        {"comparison": _comparison(cases), "overlay": laid},
-        title=title,
+        {"comparison": _comparison(cases, asked), "overlay": laid},
+        title=asked.title,
         trusted=done == len(cases) and not doubtful,
         headline=f"{done} of {len(cases)} cases are done.",
         lead=lead or ("All kept their checks." if done == len(cases) else ""),
         axes=varied,
         comparison=done > 0,
         overlay_note=laid["note"] if laid else "",
-        table=table_of(cases, home),
+        table=table_of(cases, home, asked),
         troubles=[
             {"name": case.name, "text": f"{case.status}: {case.reason}"} for case in cases if case.reason
         ],
@@ -124,10 +168,12 @@ def cases_page(title: str, cases: Sequence[Compared], home: Path, drawn: Sequenc
     )
 
 
-def table_of(cases: Sequence[Compared], home: Path) -> Table:
-    """The cases as rows: inputs, status, whether they can be trusted, the outputs that tell most."""
+def table_of(cases: Sequence[Compared], home: Path, asked: Asked = NOTHING_ASKED) -> Table:
+    """The cases as rows: inputs, status, whether they can be trusted, outputs asked for and those that tell most."""
     axes = [name for name in cases[0].inputs if name != "run"]
-    outputs = [name for name in _outputs(cases) if name.startswith(SHOWN)]
+    there = _outputs(cases)
+    outputs = [name for name in asked.outputs if name in there]
+    outputs += [name for name in there if name.startswith(SHOWN) and name not in outputs]
     rows = []
     for case in cases:
         beside = case.folder != home and case.folder.is_relative_to(home) and (case.folder / PAGE).is_file()
@@ -137,7 +183,8 @@ def table_of(cases: Sequence[Compared], home: Path) -> Table:
         row.append(_checks(case.doubts))
         row += [_cell(case.outputs.get(name)) for name in outputs]
         rows.append([*row, name] if axes else [name, *row])
-    columns = [*axes, "status", "checks", *map(with_unit, outputs)]
+    columns = [*(named(name, asked.units.get(name, "")) for name in axes), "status", "checks"]
+    columns += map(with_unit, outputs)
     return Table([*columns, "case"] if axes else ["case", *columns], rows)
 
 
@@ -148,16 +195,23 @@ def _checks(doubts: tuple[str, ...] | None) -> Cell:
     return Cell(", ".join(doubts), "look") if doubts else Cell("kept", "good")
 
 
-def _comparison(cases: Sequence[Compared]) -> dict[str, Any]:
-    """What the chart draws: axes and outputs, a value a case."""
+def _comparison(cases: Sequence[Compared], asked: Asked) -> dict[str, Any]:
+    """What the chart draws: axes and outputs, a value a case; first the outputs that were asked for."""
+
+    def rank(name: str) -> tuple[bool, bool]:
+        return name not in asked.outputs, not name.startswith(SHOWN)
+
     return {
         "axes": [
-            {"name": name, "values": [_plain(case.inputs[name]) for case in cases]}
+            {
+                "name": named(name, asked.units.get(name, "")),
+                "values": [_plain(case.inputs[name]) for case in cases],
+            }
             for name in cases[0].inputs
         ],
         "outputs": [
             {"name": with_unit(name), "values": [case.outputs.get(name) for case in cases]}
-            for name in sorted(_outputs(cases), key=lambda name: not name.startswith(SHOWN))
+            for name in sorted(_outputs(cases), key=rank)
         ],
     }
 
@@ -168,9 +222,10 @@ def _outputs(cases: Sequence[Compared]) -> list[str]:
     return [name for name in names if any(case.outputs.get(name) is not None for case in cases)]
 
 
-def _plots(home: Path) -> list[Picture]:
+def _plots(home: Path, asked: Asked) -> list[Picture]:
     """The pictures that the sweep asked for."""
-    return [picture_in(file, file.stem) for file in sorted(home.glob("plot.*.png"))]
+    files = {file.stem.removeprefix("plot."): file for file in sorted(home.glob("plot.*.png"))}
+    return [picture_in(file, asked.plots.get(name, name)) for name, file in files.items()]
 
 
 def _gallery(cases: Sequence[Compared]) -> list[Picture]:

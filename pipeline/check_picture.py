@@ -75,7 +75,7 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
     figure = new_figure(12.5, height + 1.6)
     grid = figure.add_gridspec(max(len(spots), 1), 2, width_ratios=(2.6, 1.0))
     axes = figure.add_subplot(grid[:, 0])
-    equal_axes(axes)
+    equal_axes(axes, box)
     _draw_bodies(axes, prepared)
     _draw_obstacles(axes, prepared, box)
     _draw_contact(axes, prepared)
@@ -85,6 +85,7 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
         style: dict[str, Any] = {"textcoords": "offset points", "color": SPOT, "fontweight": "bold"}
         axes.annotate("ab"[number], _pair(spot.place), (5, 5), **style)
         panel = figure.add_subplot(grid[number, 1])
+        equal_axes(panel, box)
         _draw_close(panel, prepared, spot, f"{'ab'[number]}: {spot.title}")
     axes.set_title(prepared.case.title or prepared.case.name, fontsize=11)
     axes.set(xlim=box[:, 0], ylim=box[:, 1])
@@ -257,7 +258,7 @@ def _draw_close(axes: Axes, prepared: Prepared, spot: Spot, title: str) -> None:
     for curve in _curves(prepared):
         axes.plot(*curve.polyline(1e-3 * spot.cell).T, color="black", lw=0.9)
     axes.plot(*spot.place, "*", color=SPOT, ms=9.0)
-    axes.set(xlim=box[:, 0], ylim=box[:, 1], aspect="equal")
+    axes.set(xlim=box[:, 0], ylim=box[:, 1], xlabel="", ylabel="")
     axes.tick_params(labelsize=7)
     axes.locator_params(nbins=5)
     axes.set_title(title, fontsize=9)

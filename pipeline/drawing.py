@@ -66,16 +66,20 @@ def map_figure(box: Floats, width: float = 9.0, pictures: int = 1) -> tuple[Figu
     figure = new_figure(width, tall + 1.2)
     row = list(figure.subplots(1, pictures, squeeze=False)[0])
     for axes in row:
-        equal_axes(axes)
+        equal_axes(axes, box)
     return figure, row
 
 
-def equal_axes(axes: Axes) -> None:
-    """Label the axes in metres, at one scale."""
+def equal_axes(axes: Axes, box: Floats) -> None:
+    """One scale, and labels in a unit that suits a (2, 2) box in metres; what is drawn stays in metres."""
+    from matplotlib.ticker import FuncFormatter
+
+    factor, unit = readable(float(np.max(box[1] - box[0])), "m")
     axes.set_aspect("equal")
     axes.locator_params(axis="x", nbins=7)  # labels of six digits would touch
-    axes.set_xlabel("x, m")
-    axes.set_ylabel("y, m")
+    for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y")):
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * factor:.6g}"))
+        axis.set_label_text(f"{name}, {unit}")
 
 
 def box_of(points: Floats) -> Floats:

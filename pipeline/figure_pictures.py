@@ -88,7 +88,7 @@ def _fields(figure: Figure, runs: Sequence[Shown]) -> Drawn:
             cells += [fill(panel, frame.points[corners], array=factor * part, edgecolor="face", **style)]
         lines(panel, frame.reference[frame.outline], color="0.65", linewidths=0.5, linestyles="--")
         lines(panel, frame.points[frame.outline], color="black", linewidths=0.5)
-        equal_axes(panel)
+        equal_axes(panel, box)
         panel.label_outer()
         panel.set(xlim=box[:, 0], ylim=box[:, 1])
         panel.set_title(_joined(run.label, f"t = {moment(frame.time)}"), fontsize=9)

@@ -23,6 +23,25 @@ class Gap(NamedTuple):
     master: Floats
 
 
+def meeting_time(prepared: Prepared, number: int, gap: Gap) -> float:
+    """When the surfaces of a pair meet, s, as they fly on at their first velocities; infinite where they do not.
+
+    Along the shortest way between them; a prescribed motion counts by its first step.
+    """
+    velocity = prepared.velocity
+    held = prepared.model.channel >= 0
+    rates = prepared.motion.increments(0, 1, prepared.dt)[0] / prepared.dt
+    velocity[held] = rates[prepared.model.channel[held]]
+    contact, k = prepared.model.contact, prepared.pairs[number].passes[0]
+    sides = (contact.slave_nodes, contact.slave_first), (contact.master_nodes, contact.master_first)
+    slave, master = (
+        velocity[np.unique(nodes[first[k] : first[k + 1]])].mean(axis=0) for nodes, first in sides
+    )
+    way = gap.master - gap.slave
+    closing = float((slave - master) @ way) / gap.distance if gap.distance > 0.0 else 0.0
+    return gap.distance / closing if closing > 0.0 else float("inf")
+
+
 def initial_gaps(prepared: Prepared) -> list[Gap | None]:
     """The gap of each pair at the start; None for self contact, whose two surfaces are one.
 

@@ -150,7 +150,7 @@ def _region_rows(geometry: Geometry, has_unit: bool) -> Iterator[tuple[str, ...]
         arcs = int(np.count_nonzero(bulges))
         wall = thinnest_wall([region]) / factor
         yield (
-            str(k + 1), region.name or region.outer.name, f"{region.area / factor**2:.8g}",
+            str(k + 1), region.name or region.outer.name or "-", f"{region.area / factor**2:.8g}",
             f"{high[0] - low[0]:.6g} x {high[1] - low[1]:.6g}", f"({low[0]:.6g}, {low[1]:.6g})",
             f"{wall:.3g}" if np.isfinite(wall) else "-", str(len(region.holes)),
             str(len(bulges) - arcs), str(arcs), ", ".join(part_names((region,))),

@@ -1,4 +1,4 @@
-"""Bodies that may meet on their way, and have no contact to stop them."""
+"""Bodies that may meet on their way with no contact to stop them, or that start faster than their own waves."""
 
 from __future__ import annotations
 
@@ -34,6 +34,21 @@ def unpaired(case: Case, cut: dict[str, CutBody]) -> list[str]:
     more = f", and {len(pairs) - TOLD} more pairs" if len(pairs) > TOLD else ""
     named = f"{', '.join(pairs[:TOLD])}{more}"
     return [f"bodies {named} may meet and share no contact: they would pass through each other"]
+
+
+def too_fast(case: Case) -> list[str]:
+    """A warning of each body that starts faster than its own waves: a modulus in other units, most likely."""
+    found = []
+    for name, body in case.body.items():
+        material, speed = case.material[body.material], float(np.hypot(*body.initial_velocity))
+        modulus = material.E * (1.0 - material.nu) / ((1.0 + material.nu) * (1.0 - 2.0 * material.nu))
+        wave = float(np.sqrt(modulus / material.rho))
+        if speed > wave:
+            found.append(
+                f"body {name} starts at {speed:g} m/s, faster than the waves in {body.material}, {wave:.3g} m/s: are "
+                f"E = {material.E:g} Pa and rho = {material.rho:g} kg/m^3 right"
+            )
+    return found
 
 
 def _body(case: Case, surface: str) -> str:

@@ -78,9 +78,19 @@ def unit_of(name: str) -> str:
     return UNITS.get(words[2] if words[0] == "variant" else words[0], "")
 
 
+def in_words(name: str) -> str:
+    """A name with spaces: "peak_contact_force.landing" is "peak contact force, landing"."""
+    return ", ".join(part.replace("_", " ") for part in name.split("."))
+
+
+def named(name: str, unit: str) -> str:
+    """A name and its unit, where it has one."""
+    return f"{name}, {unit}" if unit else name
+
+
 def with_unit(name: str) -> str:
     """An output as it is called in pictures and tables: "peak_contact_force.landing, N/m"."""
-    return f"{name}, {unit_of(name)}" if unit_of(name) else name
+    return named(name, unit_of(name))
 
 
 def wall_time(figures: Mapping[str, Any]) -> float | None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.curve_pictures import HISTORIES, bearing_times, draw_history, draw_pressure
-from phantomnode.pipeline.drawing import FORMATS, moment, save
+from phantomnode.pipeline.drawing import FORMATS, moment, readable, save
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.field_pictures import Limits, draw_field
 from phantomnode.pipeline.messages import listed, suggestion
@@ -199,6 +199,12 @@ def _path_of(
     return (out or results.path) / f"plot.{what}{at}.png"
 
 
+def _exact(time: float) -> str:
+    """A time to seven digits, by which neighbouring frames differ: "105.0102 µs"."""
+    factor, unit = readable(time, "s")
+    return f"{time * factor:.7g} {unit}"
+
+
 def _said_of(results: Results, times: Sequence[Time]) -> str:
     """When the peak is, and which frames are drawn in place of times that have none."""
     told = []
@@ -209,5 +215,5 @@ def _said_of(results: Results, times: Sequence[Time]) -> str:
         elif not isinstance(time, str):
             found = float(results.times[results.nearest(time)])
             if abs(found - time) > NEAR * float(results.times[-1]):
-                told.append(f"{moment(time)}: no frame; drawn is the nearest, {moment(found)}")
+                told.append(f"{_exact(time)}: no frame; drawn is the nearest, {_exact(found)}")
     return "; ".join(told)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phantomnode.geometry.doubling import CutMesh
-from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.drawing import moment
+from phantomnode.pipeline.gaps import initial_gaps, meeting_time
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.summary import areas, doubled_cells, pair_penalty, step_set_by, wall
@@ -29,6 +30,10 @@ CELL_BYTES = {
 """Bytes of a frame for each cell that is drawn, measured with tests/benchmarks; LINE_BYTES for a slave segment."""
 
 LINE_BYTES = 60.0
+
+PAIR_COLUMNS = (
+    "contact", "slave", "master", "segments", "points", "corners", "penalty, Pa/m", "friction", "gap, m", "meets at",
+)  # fmt: skip
 
 MANY = 20.0
 """Cells through a wall from which on it is none: the body is massive."""
@@ -122,15 +127,24 @@ def report(prepared: Prepared) -> RenderableType:
     if prepared.pairs:
         parts.append(
             _table(
-                ("contact", "slave", "master", "segments", "points", "penalty, Pa/m", "friction", "gap, m"),
+                PAIR_COLUMNS,
                 _pair_rows(prepared),
             )
         )
     if prepared.boundaries:
         parts.append(_table(("boundary", "nodes", "holds"), _boundary_rows(prepared)))
     parts.append(_table(("run", ""), _run_rows(prepared)))
-    advice = (*prepared.warnings, *_thin_walls(prepared))
+    advice = (*prepared.warnings, *_thin_walls(prepared), *_too_short(prepared))
     return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in advice))
+
+
+def _too_short(prepared: Prepared) -> Iterator[str]:
+    """A warning of each pair that would meet, by the first velocities, after the end of the run."""
+    end = prepared.case.time.end
+    for number, (pair, gap) in enumerate(zip(prepared.pairs, initial_gaps(prepared), strict=True)):
+        time = np.inf if gap is None else meeting_time(prepared, number, gap)
+        if end < time < np.inf:
+            yield f"contact {pair.name}: the two meet at {moment(time)}, after the end of the run, {moment(end)}"
 
 
 def _thin_walls(prepared: Prepared) -> Iterator[str]:
@@ -186,11 +200,15 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
 
 
 def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
-    for pair, gap in zip(prepared.pairs, initial_gaps(prepared), strict=True):
-        counts = str(len(pair.segment_nodes)), str(pair.points.stop - pair.points.start)
+    first = prepared.model.contact.slave_first
+    for number, (pair, gap) in enumerate(zip(prepared.pairs, initial_gaps(prepared), strict=True)):
+        corners = sum(int(first[k + 1] - first[k]) for k in pair.corners)
+        counts = str(len(pair.segment_nodes)), str(pair.points.stop - pair.points.start), str(corners)
         stiffness = f"{pair_penalty(prepared, pair):.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
         apart = "-" if gap is None else f"{gap.distance:.3g}"  # self contact has none
-        yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart
+        time = np.inf if gap is None else meeting_time(prepared, number, gap)
+        meets = moment(time) if np.isfinite(time) else "-"
+        yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart, meets
 
 
 def _boundary_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:

@@ -18,7 +18,7 @@ from phantomnode.pipeline.boundaries import Boundary, Conditions, conditions
 from phantomnode.pipeline.contacts import Pair, contact_passes, offsets, own_reach, reported_pairs
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.elements import ElementLists, element_lists
-from phantomnode.pipeline.meeting import unpaired
+from phantomnode.pipeline.meeting import too_fast, unpaired
 from phantomnode.pipeline.motion import PrescribedMotion
 from phantomnode.pipeline.pairing import ContactPass, joined_contact
 from phantomnode.pipeline.rigid import Rigid, rigid_obstacles
@@ -163,7 +163,7 @@ def prepare(case: Case) -> Prepared:
         model, estimate, xfem = classic_xfem(case, bodies, model)
     dt = run_step(case, estimate)
     notes = (note for body in cut.values() for note in body.notes)
-    warnings = (*notes, *thin, *unpaired(case, cut), *heavy_bodies(bodies, model))
+    warnings = (*notes, *thin, *unpaired(case, cut), *too_fast(case), *heavy_bodies(bodies, model))
     pairs = reported_pairs(case, cut, passes)
     boundaries, motion = tuple(held.boundaries), held.motion
     return Prepared(case, bodies, pairs, boundaries, model, motion, estimate, dt, warnings, xfem, rigids)

@@ -6,7 +6,15 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from phantomnode.pipeline.cases_page import PAGE, cases_page, compared_cases, compared_runs, table_of
+from phantomnode.pipeline.cases_page import (
+    PAGE,
+    Asked,
+    asked_of,
+    cases_page,
+    compared_cases,
+    compared_runs,
+    table_of,
+)
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.figures import draw_figures
 from phantomnode.pipeline.files import write_atomically
@@ -53,11 +61,11 @@ def write_report(folders: Sequence[Path], out: Path) -> list[Path]:
     out.mkdir(parents=True, exist_ok=True)
     if batches:
         figures = draw_figures(folders[0], out)
-        text = cases_page(folders[0].resolve().name, compared_cases(folders[0]), folders[0], figures)
+        text = cases_page(asked_of(folders[0]), compared_cases(folders[0]), folders[0], figures)
         return [_written(out / PAGE, text), *figures]
     profiles = draw_profiles(runs, out)
     if len(folders) > 1:
-        text = cases_page("Runs beside each other", compared_runs(runs), out, profiles)
+        text = cases_page(Asked("Runs beside each other"), compared_runs(runs), out, profiles)
         return [_written(out / COMPARISON, text), *profiles]
     (main, *variants) = runs.values()
     pictures = [*draw_figures(main, out), *profiles]

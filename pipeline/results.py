@@ -131,6 +131,8 @@ def no_results(path: Path) -> CaseError:
     runs = [file.parent for file in RESULTS.glob("*/history.csv") if own.fullmatch(file.parent.name)]
     newest = max(runs, key=lambda run: (run / "history.csv").stat().st_mtime, default=None)
     hint = f"; did you mean {newest}?" if newest is not None else ""
+    if not path.is_dir():
+        return CaseError(f"{path}: there is no such folder{hint or '; name the folder of a run'}")
     return CaseError(f"{path}: holds no results of a run (no history.csv){hint}")
 
 

@@ -62,7 +62,7 @@ def run_page(
         title=results.title,
         trusted=trusted(found),
         status=f"Run {figures.get('status', 'not ended')}",
-        lead=_lead(found),
+        lead=_lead(found, figures.get("still_closing", ())),
         bodies=list(_bodies(results)),
         acting=list(_acting(results)),
         findings=found,
@@ -79,10 +79,11 @@ def run_page(
     )
 
 
-def _lead(found: list[Finding]) -> str:
+def _lead(found: list[Finding], closing: Sequence[str]) -> str:
     """What is to be looked at, in one line."""
     bad = [finding.subject.lower() for finding in found if not finding.passed]
-    return f"To look at: {', '.join(bad)}." if bad else "Every check is kept; the figures are below."
+    text = f"To look at: {', '.join(bad)}." if bad else "Every check is kept; the figures are below."
+    return f"{text} It ends while {' and '.join(closing)} still closes." if closing else text
 
 
 def _bodies(results: Results) -> Iterator[dict[str, str]]:

@@ -14,6 +14,7 @@ import numpy as np
 from phantomnode import __version__
 from phantomnode.geometry.walls import thinnest_wall
 from phantomnode.pipeline.contacts import Pair
+from phantomnode.pipeline.drawing import moment
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Body, Prepared
@@ -322,14 +323,16 @@ def highlights(figures: dict[str, Any]) -> list[str]:
     """What came out of a run in a few lines of text."""
     lines = []
     for name, phases in figures.get("contact_phases", {}).items():
-        spans = ", ".join(f"{phase.start * 1e3:.3g}..{phase.end * 1e3:.3g} ms" for phase in phases[:6])
+        spans = ", ".join(f"{moment(phase.start)} to {moment(phase.end)}" for phase in phases[:6])
         more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
         word = "phase" if len(phases) == 1 else "phases"
         lines.append(f"contact   {name}: {len(phases)} {word} {spans}{more}".rstrip())
         if phases:
-            impulse = float(np.hypot(*figures["contact_impulse"][name]))
+            x, y = figures["contact_impulse"][name]
             peak = figures["peak_contact_force"][name]
-            lines.append(f"          impulse {impulse:.4g} N s/m, peak force of a single step {peak:.4g} N/m")
+            lines.append(
+                f"          impulse on the slave ({x:.4g}, {y:.4g}) N s/m, peak force of a step {peak:.4g} N/m"
+            )
         if name in figures.get("still_closing", ()):
             lines.append("          the two still move towards each other: time.end comes before they part")
     for name, velocity in figures.get("velocity", {}).items():
@@ -399,4 +402,11 @@ def _where(summary: Summary) -> list[str]:
 
 
 def _heading(summary: Summary) -> str:
-    return "can be trusted" if summary.trusted else "look before you trust it"
+    if not summary.trusted:
+        return "look before you trust it"
+    closing = summary.figures.get("still_closing", ())
+    return (
+        f"can be trusted, but ends while {' and '.join(closing)} still closes"
+        if closing
+        else "can be trusted"
+    )

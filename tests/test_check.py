@@ -12,7 +12,8 @@ from matplotlib.collections import PolyCollection
 
 from phantomnode.pipeline import check_picture
 from phantomnode.pipeline.case import case_from_table, load_case
-from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.drawing import moment
+from phantomnode.pipeline.gaps import initial_gaps, meeting_time
 from phantomnode.pipeline.preflight import _bytes, element_place, estimated_disk, step_place, text_report
 from phantomnode.pipeline.prepare import Prepared, prepare
 from phantomnode.pipeline.run import run
@@ -176,3 +177,43 @@ def test_bodies_that_may_meet_without_a_contact_are_told(speed: float, paired: b
         table["contact"] = {"landing": {"slave": "upper.bottom", "master": "lower.top"}}
     told = any("upper and lower may meet" in warning for warning in prepare(case_from_table(table)).warnings)
     assert told == warned
+
+
+@pytest.mark.parametrize(
+    ("speeds", "meets"),
+    [
+        ((-5.0, 0.0), 0.02),
+        ((-5.0, 5.0), 0.01),
+        ((5.0, 0.0), np.inf),
+        ((0.0, 0.0), np.inf),
+        ((-5.0, -5.0), np.inf),
+    ],
+)
+def test_when_surfaces_meet_by_their_first_velocities(speeds: tuple[float, float], meets: float) -> None:
+    """A gap of 0.1 m; the floor moves too, or flees."""
+    table = two_blocks(0.1)
+    table["boundary"] = {}
+    for name, speed in zip(("block", "floor"), speeds, strict=True):
+        table["body"][name]["initial_velocity"] = [0.0, speed]
+    prepared = prepare(case_from_table(table))
+    (gap,) = initial_gaps(prepared)
+    assert gap is not None
+    assert meeting_time(prepared, 0, gap) == pytest.approx(meets, rel=1e-6)
+    late = (
+        f"the two meet at {moment(meets)}, after the end of the run, 1 ms"
+        if np.isfinite(meets)
+        else "after the end"
+    )
+    assert (late in " ".join(text_report(prepared).split())) == bool(np.isfinite(meets))
+
+
+def test_a_body_faster_than_its_waves_is_doubtful() -> None:
+    """E in GPa where Pa are asked for: c = sqrt(E (1 - nu)/((1 + nu)(1 - 2 nu) rho)) is 0.116 m/s for 10 Pa."""
+    table = two_blocks(0.03)
+    table["body"]["block"]["initial_velocity"] = [0.0, -5.0]
+    assert not any("faster than the waves" in text for text in prepare(case_from_table(table)).warnings)
+    table["material"]["soft"]["E"] = 10.0
+    (told,) = [text for text in prepare(case_from_table(table)).warnings if "faster" in text]
+    assert told.startswith(
+        "body block starts at 5 m/s, faster than the waves in soft, 0.116 m/s: are E = 10 Pa"
+    )

@@ -17,7 +17,7 @@ import pytest
 from small_run import small_run
 
 from phantomnode import open_results
-from phantomnode.pipeline.cases_page import compared_cases
+from phantomnode.pipeline.cases_page import asked_of, compared_cases
 from phantomnode.pipeline.cli import app
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.packing import packed, quantised
@@ -211,6 +211,26 @@ class TestPages:
         force = comparison["outputs"][0]
         assert force == {"name": "peak_contact_force.landing, N/m", "values": [500.0, 1001.0, 502.0, None]}
         assert len(page.read_bytes()) < LIMIT
+
+    def test_a_batch_page_shows_what_the_sweep_asks_for(self, batch, tmp_path):
+        """Its title, its outputs first, axes with units, pictures in words; without a copy its folder's name."""
+        assert asked_of(batch).title == batch.name
+        folder = tmp_path / "asked"
+        shutil.copytree(batch, folder)
+        (folder / "batch.toml").write_text(
+            'title = "Falls"\noutputs = ["steps", "counts.cut"]\n'
+            '[axis.speed]\nkey = "body.disc.initial_velocity.1"\nvalues = [5, 10]\n'
+            '[axis.cell]\nkey = "body.disc.grid.cell"\nvalues = [0.002]\nnames = ["fine"]\n'
+            '[plot.force]\nx = "speed"\ny = "peak_contact_force.landing"\n'
+        )
+        asked = asked_of(folder)
+        assert asked.title == "Falls" and asked.units == {"speed": "m/s"}
+        assert asked.plots == {"force": "peak contact force, landing over speed"}
+        (page,) = write_report([folder], folder)
+        comparison = data_of(page)["comparison"]
+        assert [axis["name"] for axis in comparison["axes"]] == ["speed, m/s", "cell"]
+        assert comparison["outputs"][0]["name"] == "steps"
+        assert "<title>Falls" in page.read_text(encoding="utf-8")
 
     def test_cases_keep_their_values_and_doubts(self, batch):
         cases = compared_cases(batch)
