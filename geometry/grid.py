@@ -320,7 +320,8 @@ def cartesian(
     if len(sizes) != 2 or min(sizes) <= 0.0:
         raise GeometryError(f"the cell size must be positive (one number, or one for x and y), not {cell}")
     spans = [(b - a) / h for a, b, h in zip(low, high, sizes, strict=True)]
-    require_cells((spans[0] + 2.0) * (spans[1] + 2.0))
+    box = f" in its box of {high[0] - low[0]:.4g} x {high[1] - low[1]:.4g} m"
+    require_cells((spans[0] + 2.0) * (spans[1] + 2.0), box)
     if aligned:
         # 1e-9: a box of 40.00000000001 cells, which is what decimal fractions give, has 40 of them.
         divided = (max(1, math.ceil(span - 1e-9)) for span in spans)
@@ -387,11 +388,11 @@ def whole_counts(counts: Sequence[int]) -> tuple[int, int]:
     return int(counts[0]), int(counts[1])
 
 
-def require_cells(cells: float) -> None:
-    """Refuse more than ``MOST_CELLS`` cells."""
+def require_cells(cells: float, box: str = "") -> None:
+    """Refuse more than ``MOST_CELLS`` cells; ``box`` says where they would be."""
     if cells > MOST_CELLS:
         raise GeometryError(
-            f"the grid would have {cells:.3g} cells, more than {MOST_CELLS:.0e}; choose larger ones (units?)"
+            f"the grid would have {cells:.3g} cells{box}, more than {MOST_CELLS:.0e}; choose larger ones (units?)"
         )
 
 

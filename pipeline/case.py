@@ -192,8 +192,9 @@ def find_case(source: str | Path) -> Path:
         return bundled[str(source)]
     if path.is_dir():
         raise CaseError(f"{path}: this folder holds no {CASE_FILE}; name the case file itself, or write one")
+    beside = [str(folder.parent) for folder in path.parent.glob(f"*/{CASE_FILE}")]
     raise CaseError(
-        f"{source}: there is no such file, folder or bundled case{suggestion(str(source), bundled)}; "
+        f"{source}: there is no such file, folder or bundled case{suggestion(str(source), [*beside, *bundled])}; "
         f"bundled cases are {listed(bundled)}"
     )
 
