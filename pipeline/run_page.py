@@ -194,7 +194,7 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
             yield (
                 f"{name}: impulse on the slave ({x:.4g}, {y:.4g}) N s/m; peak force "
                 f"{figures['peak_contact_force'][name] * peak:.4g} {unit}, that of a single step: stiff penalties "
-                "chatter, so compare impulses."
+                f"chatter, so compare impulses. The two overlap by at most {_depth(figures, name)}."
             )
         if name in figures.get("still_closing", ()):
             yield f"{name}: the two still move towards each other at the end; a larger time.end shows the rebound."
@@ -206,6 +206,12 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
     for name, velocity in figures.get("velocity", {}).items():
         start, end = _velocities(velocity)
         yield f"{name}: velocity of the centre of mass {start} m/s at the start, {end} m/s at the end."
+
+
+def _depth(figures: dict[str, Any], pair: str) -> str:
+    """How deep a pair penetrates, with a unit."""
+    factor, unit = readable(figures["largest_penetration"][pair], "m")
+    return f"{figures['largest_penetration'][pair] * factor:.3g} {unit}"
 
 
 def _pictures(results: Results) -> Iterator[Picture]:
