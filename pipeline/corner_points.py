@@ -59,6 +59,12 @@ width bear each other to their ends; and MOST of the segments that meet at a cor
 
 MOST = 0.45
 
+FLAT = 1e-6
+"""Lines whose directions differ by less do not cross."""
+
+Piece = tuple[Ints, Floats, Floats]
+"""A segment: its four nodes and the shape functions at its ends."""
+
 MEETING = 3.0
 """Corners that are nearer to each other than this, in diagonals of the largest cell on the other surface, can stand
 on one node: the cells around it take two, and surfaces move towards each other."""
@@ -110,9 +116,7 @@ def with_corners(
             if isinstance(side, Rigid)
             else (cut[side.body].mesh.xy, first_node[side.body])
         )
-        x, masters = xy[each.master.nodes - first], each.master
-        ends = np.stack([np.einsum("si,sia->sa", shape, x) for shape in (masters.start, masters.end)], axis=1)
-        rounded.append(replace(each, master=cut_off(masters, ends, depth)))
+        rounded.append(replace(each, master=cut_off(each.master, xy[each.master.nodes - first], depth)))
     return rounded + corner_passes(passes[0], slave, master, cut, first_node, points, penalties)
 
 
@@ -174,50 +178,104 @@ def body_corners(body: CutBody, chosen: Ints, first_node: int) -> CornerPoints:
     return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1])
 
 
-def cut_off(side: MasterSide, ends: Floats, depth: float) -> MasterSide:
-    """The masters with sharp corners cut off by a segment more for each.
+def cut_off(side: MasterSide, x: Floats, depth: float) -> MasterSide:
+    """The masters with sharp corners cut off by a segment more for each, or by two where cells meet at the corner.
 
     Parameters
     ----------
     side : MasterSide
-    ends : (m, 2, 2) float64, metres
-        Start and end of its segments in the reference configuration.
+    x : (m, 4, 2) float64, metres
+        The nodes of its segments in the reference configuration.
     depth : float, m
-        How far before a corner on either side; less where a segment is short.
-
-    A corner between segments that have more than four nodes in all stays, since no segment could join the two.
+        How far before a corner on either side; less where a segment is short. 0 leaves corners as they are.
     """
-    length, new = np.hypot(*(ends[:, 1] - ends[:, 0]).T), list[tuple[Ints, Floats, Floats, int, int]]()
-    start, end, following = side.start.copy(), side.end.copy(), side.following.copy()
-    for s in sharp(ends, side.following) if depth > 0.0 else ():
-        n = side.following[s]
-        back, onward = (min(depth / length[k], MOST) for k in (s, n))
-        end[s] = (1.0 - back) * side.end[s] + back * side.start[s]
-        start[n] = (1.0 - onward) * side.start[n] + onward * side.end[n]
-        joined = _on_common_nodes((side.nodes[s], end[s]), (side.nodes[n], start[n]))
-        if joined is None:
-            end[s], start[n] = side.end[s], side.start[n]
+    ends = np.stack([np.einsum("si,sia->sa", at, x) for at in (side.start, side.end)], axis=1)
+    length, corners = np.hypot(*(ends[:, 1] - ends[:, 0]).T), sharp(ends, side.following)
+    start, end, following = side.start.copy(), side.end.copy(), side.following.tolist()
+    new, before, gone = list[Piece](), list[int](), np.zeros(len(length), dtype=bool)
+    backward = side.previous.copy()
+    backward[side.following[corners]] = -1  # no way leads over another corner
+    onward = side.following.copy()
+    onward[corners] = -1
+    for s in corners if depth > 0.0 else ():
+        for far in (True, False):  # over several cells, or, where no segment can join those, within one
+            (a, back, passed), (b, on, skipped) = (
+                _way(int(k), depth, length, side.nodes, links, far)
+                for k, links in ((s, backward), (side.following[s], onward))
+            )
+            first = (1.0 - back) * side.end[a] + back * side.start[a]
+            last = (1.0 - on) * side.start[b] + on * side.end[b]
+            pieces = _bridge(side, x, (a, first), (b, last))
+            if pieces:
+                break
+        if not pieces or a == b or gone[[a, b]].any():
             continue
-        following[s] = len(following) + len(new)
-        new.append((*joined, s, n))
+        gone[passed + skipped] = True
+        end[a], start[b], following[a] = first, last, len(following)
+        following += [*range(len(following) + 1, len(following) + len(pieces)), b]
+        before += [a] * len(pieces)
+        new += pieces
     if not new:
         return side
-    nodes, starts, ends_of_new, before, after = zip(*new, strict=True)
-    following = np.concatenate([following, after])
+    nodes, starts, ends_of_new = zip(*new, strict=True)
+    kept = np.append(~gone, np.ones(len(new), dtype=bool))
+    number = np.append(np.cumsum(kept) - 1, -1)  # the last stands for "no neighbour"
+    links = number[np.array(following, dtype=np.int64)[kept]]
     return MasterSide(
-        nodes=np.concatenate([side.nodes, nodes]),
-        start=np.concatenate([start, starts]),
-        end=np.concatenate([end, ends_of_new]),
-        previous=previous_of(following),
-        following=following,
-        place=np.concatenate([side.place, side.place[list(before)]]),
+        nodes=np.concatenate([side.nodes, nodes])[kept],
+        start=np.concatenate([start, starts])[kept],
+        end=np.concatenate([end, ends_of_new])[kept],
+        previous=previous_of(links),
+        following=links,
+        place=np.concatenate([side.place, side.place[before]])[kept],
     )
 
 
-def _on_common_nodes(
-    one: tuple[Ints, Floats], other: tuple[Ints, Floats]
-) -> tuple[Ints, Floats, Floats] | None:
-    """Two points with their four nodes each as points of the same four nodes; None where they have more."""
+def _way(
+    at: int, depth: float, length: Floats, nodes: Ints, links: Ints, far: bool
+) -> tuple[int, float, list[int]]:
+    """Where a way of ``depth`` from a corner ends: the segment, the part of it that is gone, and those passed.
+
+    It leaves something of the last of them, and leaves the cell of the corner only if it may go ``far``.
+    """
+    passed: list[int] = []
+    while depth > MOST * length[at]:
+        beyond = int(links[at])
+        if beyond < 0 or not (far or np.array_equal(nodes[beyond], nodes[at])):
+            return at, MOST, passed
+        passed.append(at)
+        depth, at = max(depth - length[at], 0.0), beyond
+    return at, depth / length[at], passed
+
+
+def _bridge(side: MasterSide, x: Floats, one: tuple[int, Floats], other: tuple[int, Floats]) -> list[Piece]:
+    """The segments between a point before a corner and one behind it, (number of a segment, shape) each.
+
+    One where four nodes carry both. Points in two cells beside each other are joined where the way between them
+    crosses the edge that the cells have in common; where it does not, there is none.
+    """
+    (s, first), (n, last) = one, other
+    joined = _on_common_nodes((side.nodes[s], first), (side.nodes[n], last))
+    if joined is not None:
+        return [joined]
+    common = [(i, int(k)) for i in range(4) for k in np.flatnonzero(side.nodes[n] == side.nodes[s, i])]
+    if len(common) != 2:
+        return []
+    (i, k), (j, m) = common
+    a, b, low, high = first @ x[s], last @ x[n], x[s, i], x[s, j]
+    matrix = np.column_stack([high - low, a - b])  # low + t (high - low) = a + u (b - a)
+    if abs(np.linalg.det(matrix)) < FLAT * np.abs(matrix).max() ** 2:
+        return []
+    t, u = np.linalg.solve(matrix, a - low)
+    if not (0.0 <= t <= 1.0 and 0.0 < u < 1.0):
+        return []
+    unit = np.eye(4)
+    here, there = ((1.0 - t) * unit[p] + t * unit[q] for p, q in ((i, j), (k, m)))
+    return [(side.nodes[s], first, here), (side.nodes[n], there, last)]
+
+
+def _on_common_nodes(one: tuple[Ints, Floats], other: tuple[Ints, Floats]) -> Piece | None:
+    """A segment between two points with their four nodes each on the same four nodes; None where they have more."""
     used = np.unique(np.concatenate([nodes[values != 0.0] for nodes, values in (one, other)]))
     if len(used) > 4:
         return None

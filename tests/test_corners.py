@@ -13,7 +13,7 @@ from phantomnode.pipeline.corner_points import WEIGHT, cut_depth, cut_off
 from phantomnode.pipeline.corners import deepest_corner, master_corners
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import contact_lines
-from phantomnode.pipeline.gaps import initial_gaps
+from phantomnode.pipeline.gaps import initial_gaps, master_ends
 from phantomnode.pipeline.history import tangential_force
 from phantomnode.pipeline.pairing import MasterSide, previous_of
 from phantomnode.pipeline.summary import run_checks
@@ -268,7 +268,7 @@ def test_a_wedge_pushes_a_flat_face_back_and_not_aside(shift):
 
 
 def square_side():
-    """The four sides of a unit square, counter-clockwise, on its corners; these, and the ends of the sides."""
+    """The four sides of a unit square, counter-clockwise, on its corners; and these."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     nodes = np.array([[k, (k + 1) % 4, (k + 1) % 4, (k + 1) % 4] for k in range(4)])
     unit = np.eye(4)
@@ -277,14 +277,14 @@ def square_side():
         nodes, np.repeat(unit[:1], 4, axis=0), np.repeat(unit[1:2], 4, axis=0), previous_of(following), following,
         np.tile([-2.0, 0.0, 0.0, np.inf], (4, 1)),
     )  # fmt: skip
-    return side, corners, np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    return side, corners
 
 
 def test_corners_are_cut_off_by_a_segment_each():
     """A square becomes an octagon, whose sides follow each other; long cuts stop short of the next corner."""
-    side, corners, ends = square_side()
+    side, corners = square_side()
     for depth, cut in ((0.1, 0.1), (3.0, 0.45)):
-        found = cut_off(side, ends, depth)
+        found = cut_off(side, corners[side.nodes], depth)
         start, end = (
             np.einsum("si,sia->sa", shape, corners[found.nodes]) for shape in (found.start, found.end)
         )
@@ -299,12 +299,12 @@ def test_corners_are_cut_off_by_a_segment_each():
 
 def test_a_corner_on_more_than_four_nodes_stays():
     """Sides in cells of their own, whose points take all four nodes: no segment could join them."""
-    side, _, ends = square_side()
+    side, corners = square_side()
     apart = replace(
         side, nodes=np.arange(16).reshape(4, 4), start=np.full((4, 4), 0.25), end=np.full((4, 4), 0.25)
     )
-    assert cut_off(apart, ends, 0.1) is apart
-    assert cut_off(side, ends, 0.0) is side  # where slave points stand at the very ends
+    assert cut_off(apart, corners[side.nodes], 0.1) is apart
+    assert cut_off(side, corners[side.nodes], 0.0) is side  # where slave points stand at the very ends
 
 
 def test_cuts_end_before_the_first_slave_point():
@@ -313,3 +313,26 @@ def test_cuts_end_before_the_first_slave_point():
     assert cut_depth(cell, SlavePoints()) == pytest.approx(0.15 * cell)
     assert cut_depth(cell, SlavePoints(count=3)) == pytest.approx(0.9 * first * cell)
     assert cut_depth(cell, SlavePoints(rule="newton-cotes", count=3)) == 0.0
+
+
+@pytest.mark.parametrize("cell", [0.1, 0.09, 0.07, 0.0553])
+def test_the_tip_of_a_body_is_cut_off_wherever_its_cells_meet(cell):
+    """A diamond whose tip is on a grid line between two cells, at a node, or within one: none stays sharp."""
+    tip = {"polygon": {"points": [[0.0, -0.01], [-0.5, -0.51], [0.0, -1.01], [0.5, -0.51]]}}
+    prepared = prepared_of(
+        body={
+            "block": body({"rectangle": {"low": [-0.4, 0.0], "high": [0.4, 0.8]}}, CELL, aligned=True),
+            "diamond": body(tip, cell),
+        },
+        contact={"pair": {"slave": "block.bottom", "master": "diamond.outer"}},
+    )
+    contact = prepared.model.contact
+    ends = master_ends(prepared, 0)
+    following = contact.following[contact.master_first[0] : contact.master_first[1]]
+    np.testing.assert_allclose(ends[following, 0], ends[:, 1], atol=1e-12)
+    turns = ends[:, 1] - ends[:, 0]
+    turns /= np.hypot(*turns.T)[:, None]
+    assert (
+        np.min(np.sum(turns * turns[following], axis=1)) > 0.5
+    )  # 60 degrees at most, 45 where both cuts are alike
+    assert ends[:, :, 1].max() < -0.01 - 0.5 * 0.1 * CELL  # the tip itself is the corner's
