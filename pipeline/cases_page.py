@@ -31,7 +31,14 @@ from phantomnode.pipeline.sweep import COPY
 PAGE = "report.html"
 GALLERY, THUMBNAIL = 12, 560
 """Cases whose picture is shown, and its width in pixels."""
-SHOWN = ("peak_contact_force.", "largest_penetration.", "energy_error_max", "smallest_J", "wall_s")
+SHOWN = (
+    "contact_impulse.",
+    "peak_contact_force.",
+    "largest_penetration.",
+    "energy_error_max",
+    "smallest_J",
+    "wall_s",
+)
 """Outputs that the table shows, or their beginnings; the chart offers all."""
 
 

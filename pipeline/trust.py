@@ -74,7 +74,8 @@ TOLD: dict[str, tuple[str, Callable[[float, float], str]]] = {
     "momentum error": (
         "Momentum balance",
         lambda value, limit: (
-            f"The momentum of each body changes by the impulses on it, to {percent(value)} (limit {percent(limit)})."
+            "The momentum of each body that is not held changes by the impulses on it, to "
+            f"{percent(value)} (limit {percent(limit)})."
         ),
     ),
     "hourglass over internal energy": (
