@@ -9,10 +9,10 @@ import numpy as np
 
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.pipeline.drawing import moment
-from phantomnode.pipeline.gaps import initial_gaps, meeting_time
+from phantomnode.pipeline.gaps import Gap, initial_gaps, meeting_time
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
-from phantomnode.pipeline.summary import areas, doubled_cells, pair_penalty, step_set_by, wall
+from phantomnode.pipeline.summary import Wall, areas, doubled_cells, pair_penalty, step_set_by, wall
 from phantomnode.pipeline.trust import CELLS_ADVISED, THROUGH_WALL
 
 if TYPE_CHECKING:
@@ -121,36 +121,41 @@ def report(prepared: Prepared) -> RenderableType:
     """The preflight report: bodies, contact pairs, boundaries, the step and what the run will take."""
     from rich.console import Group
 
+    walls = [wall(body) for body in prepared.bodies]
+    gaps = [(gap, _meets(prepared, number, gap)) for number, gap in enumerate(initial_gaps(prepared))]
     parts: list[RenderableType] = [
-        _table(("body", "", *(b.name for b in prepared.bodies)), _body_rows(prepared))
+        _table(("body", "", *(b.name for b in prepared.bodies)), _body_rows(prepared, walls))
     ]
     if prepared.pairs:
         parts.append(
             _table(
                 PAIR_COLUMNS,
-                _pair_rows(prepared),
+                _pair_rows(prepared, gaps),
             )
         )
     if prepared.boundaries:
         parts.append(_table(("boundary", "nodes", "holds"), _boundary_rows(prepared)))
     parts.append(_table(("run", ""), _run_rows(prepared)))
-    advice = (*prepared.warnings, *_thin_walls(prepared), *_too_short(prepared))
+    advice = (*prepared.warnings, *_thin_walls(prepared, walls), *_too_short(prepared, gaps))
     return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in advice))
 
 
-def _too_short(prepared: Prepared) -> Iterator[str]:
+def _meets(prepared: Prepared, number: int, gap: Gap | None) -> float:
+    """When a pair meets by the first velocities, s; infinite where it does not, or is self contact."""
+    return np.inf if gap is None else meeting_time(prepared, number, gap)
+
+
+def _too_short(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[str]:
     """A warning of each pair that would meet, by the first velocities, after the end of the run."""
     end = prepared.case.time.end
-    for number, (pair, gap) in enumerate(zip(prepared.pairs, initial_gaps(prepared), strict=True)):
-        time = np.inf if gap is None else meeting_time(prepared, number, gap)
+    for pair, (_, time) in zip(prepared.pairs, gaps, strict=True):
         if end < time < np.inf:
             yield f"contact {pair.name}: the two meet at {moment(time)}, after the end of the run, {moment(end)}"
 
 
-def _thin_walls(prepared: Prepared) -> Iterator[str]:
+def _thin_walls(prepared: Prepared, walls: list[Wall]) -> Iterator[str]:
     """A warning of each body whose walls take fewer cells than bend right."""
-    for body in prepared.bodies:
-        thickness, cells = wall(body)
+    for body, (thickness, cells) in zip(prepared.bodies, walls, strict=True):
         if cells < THROUGH_WALL:
             yield (
                 f"body {body.name}: {cells:.2g} cells go through its thinnest wall, {thickness:.3g} m; "
@@ -169,7 +174,7 @@ def text_report(prepared: Prepared) -> str:
     return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
 
 
-def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+def _body_rows(prepared: Prepared, walls: list[Wall]) -> Iterator[tuple[str, ...]]:
     """One row a figure, one column a body."""
     bodies = prepared.bodies
 
@@ -184,7 +189,6 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     if any(added):
         yield row("of it added", "kg/m", [f"{mass:.3g}" for mass in added])
     yield row("grid cells", "", [str(body.grid.cell_count) for body in bodies])
-    walls = [wall(body) for body in bodies]
     yield row("thinnest wall", "m", [f"{each.thickness:.3g}" if each.cells < MANY else "-" for each in walls])
     yield row(
         "cells through it", "", [f"{each.cells:.2g}" if each.cells < MANY else "many" for each in walls]
@@ -199,14 +203,14 @@ def _body_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
     yield row("smallest fraction", "", [f"{body.mesh.fraction.min():.3g}" for body in bodies])
 
 
-def _pair_rows(prepared: Prepared) -> Iterator[tuple[str, ...]]:
+def _pair_rows(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[tuple[str, ...]]:
+    """One row a pair, with its gap and the time at which it meets."""
     first = prepared.model.contact.slave_first
-    for number, (pair, gap) in enumerate(zip(prepared.pairs, initial_gaps(prepared), strict=True)):
+    for pair, (gap, time) in zip(prepared.pairs, gaps, strict=True):
         corners = sum(int(first[k + 1] - first[k]) for k in pair.corners)
         counts = str(len(pair.segment_nodes)), str(pair.points.stop - pair.points.start), str(corners)
         stiffness = f"{pair_penalty(prepared, pair):.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
         apart = "-" if gap is None else f"{gap.distance:.3g}"  # self contact has none
-        time = np.inf if gap is None else meeting_time(prepared, number, gap)
         meets = moment(time) if np.isfinite(time) else "-"
         yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart, meets
 
