@@ -55,9 +55,10 @@ CUT_OFF = 0.15
 
 BESIDE = 0.9
 """Of the way from the end of a segment to its first slave point, which no cut reaches, so that flat faces of equal
-width bear each other to their ends; and MOST of the segments that meet at a corner."""
+width bear each other to their ends."""
 
 MOST = 0.45
+"""Of a segment that may be cut off: it can end at a corner on either side."""
 
 FLAT = 1e-6
 """Lines whose directions differ by less do not cross."""
@@ -106,35 +107,12 @@ def with_corners(
 ) -> list[ContactPass]:
     """The passes of a pair with corners cut off their masters, and behind them those of the corners.
 
-    The parameters are those of :func:`corner_passes`.
-    """
-    depth = cut_depth(cut[slave.body].grid.typical_size, points)
-    rounded = []
-    for each, side in zip(passes, (master, slave), strict=False):
-        xy, first = (
-            (side.xy, side.nodes.start)
-            if isinstance(side, Rigid)
-            else (cut[side.body].mesh.xy, first_node[side.body])
-        )
-        rounded.append(replace(each, master=cut_off(each.master, xy[each.master.nodes - first], depth)))
-    return rounded + corner_passes(passes[0], slave, master, cut, first_node, points, penalties)
-
-
-def corner_passes(
-    main: ContactPass,
-    slave: Surface,
-    master: Surface | Rigid,
-    cut: dict[str, CutBody],
-    first_node: dict[str, int],
-    points: SlavePoints,
-    penalties: tuple[float, float],
-) -> list[ContactPass]:
-    """The passes of the corners of the master against the slave and of those of the slave against the master.
+    First the corners of the master against the slave, then those of the slave against the master.
 
     Parameters
     ----------
-    main : ContactPass
-        That of the slave's points against the master.
+    passes : list of ContactPass
+        That of the slave's points against the master, and the other way round where there are two.
     slave, master : Surface, Surface or Rigid
         Of different bodies.
     cut, first_node : dict
@@ -142,21 +120,28 @@ def corner_passes(
     points : SlavePoints
         The rule by which segments are divided.
     penalties : (float, float), Pa/m
-        The normal and the tangential one.
+        The normal and the tangential one of the corners.
     """
-    body = cut[slave.body]
-    around = closed_surface(body.mesh.segments, slave.segments, NOBODY)
+    body, main = cut[slave.body], passes[0]
     cell, found = body.grid.typical_size, []
+    depth = cut_depth(cell, points)
+    for each, side in zip(passes, (master, slave), strict=False):
+        if isinstance(side, Rigid):
+            xy, first = side.xy, side.nodes.start
+        else:
+            xy, first = cut[side.body].mesh.xy, first_node[side.body]
+        found.append(replace(each, master=cut_off(each.master, xy[each.master.nodes - first], depth)))
     if isinstance(master, Rigid):
         theirs, widest = rigid_corners(master), 0.0
     else:
         other = cut[master.body]
         closed = closed_surface(other.mesh.segments, master.segments, NOBODY)
         theirs, widest = body_corners(other, closed, first_node[master.body]), _widest(other, closed)
-    mine = body_corners(body, slave.segments, first_node[slave.body])
     if len(theirs.nodes):
+        around = closed_surface(body.mesh.segments, slave.segments, NOBODY)
         surface = master_side(around, body, first_node[slave.body], points)
         found.append(_one_pass(main, theirs, surface, cell, _widest(body, around), penalties, -1.0))
+    mine = body_corners(body, slave.segments, first_node[slave.body])
     if len(mine.nodes):
         found.append(_one_pass(main, mine, main.master, cell, widest, penalties, 1.0))
     return found
