@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from phantomnode.geometry.doubling import CutMesh
+from phantomnode.pipeline.census import Wall, areas, doubled_cells, pair_penalty, step_set_by, wall
 from phantomnode.pipeline.drawing import moment
 from phantomnode.pipeline.gaps import Gap, initial_gaps, meeting_time
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
-from phantomnode.pipeline.summary import Wall, areas, doubled_cells, pair_penalty, step_set_by, wall
 from phantomnode.pipeline.trust import CELLS_ADVISED, THROUGH_WALL
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import pyvista
 import shapely
 
 from phantomnode.pipeline.case import case_from_table, load_case
+from phantomnode.pipeline.census import areas
 from phantomnode.pipeline.clip import ClippedBodies, cell_labels
 from phantomnode.pipeline.fields import BodiesFile
 from phantomnode.pipeline.outlines import open_edges
@@ -17,7 +18,6 @@ from phantomnode.pipeline.preflight import steps_of
 from phantomnode.pipeline.prepare import prepare
 from phantomnode.pipeline.run import frames_of
 from phantomnode.pipeline.stopping import Stopping
-from phantomnode.pipeline.summary import areas
 
 SLANTED = {
     "kind": "mapped",

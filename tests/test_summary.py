@@ -12,12 +12,13 @@ import pytest
 from rich.console import Console
 
 from phantomnode.pipeline import prepare as prepare_module
+from phantomnode.pipeline.census import count, step_set_by
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import Fields
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.preflight import steps_of, text_report
 from phantomnode.pipeline.run import check, run
-from phantomnode.pipeline.summary import Clock, count, step_set_by, summarize
+from phantomnode.pipeline.summary import Clock, summarize
 from phantomnode.pipeline.tally import Tally, crossing_time
 
 CONTRACT = {
