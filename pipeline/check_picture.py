@@ -25,6 +25,7 @@ from phantomnode.pipeline.drawing import (
     lines,
     marks,
     new_figure,
+    readable,
     save,
     solid,
 )
@@ -40,6 +41,12 @@ if TYPE_CHECKING:
 
 FINE = 40_000
 """Cells up to this number are drawn one by one; more of them are less than a few pixels each."""
+
+SAME = 1e-6
+"""Of a cell: the middles of two elements that are nearer to each other are one."""
+
+VISIBLE = 0.03
+"""Of the size of what is shown: a wider gap has an arrow, a narrower one a mark."""
 
 CLOSE = 3.5
 """Half the width of a close-up, in cells."""
@@ -78,12 +85,12 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
     equal_axes(axes, box)
     _draw_bodies(axes, prepared)
     _draw_obstacles(axes, prepared, box)
-    _draw_contact(axes, prepared)
+    _draw_contact(axes, prepared, float(np.max(box[1] - box[0])))
     _draw_boundaries(axes, prepared)
     for number, spot in enumerate(spots):
         marks(axes, spot.place[None], "*", SPOT, 9.0, "")
         style: dict[str, Any] = {"textcoords": "offset points", "color": SPOT, "fontweight": "bold"}
-        axes.annotate("ab"[number], _pair(spot.place), (5, 5), **style)
+        axes.annotate("ab"[number], _pair(spot.place), (5, 5 - 17 * number), **style)
         panel = figure.add_subplot(grid[number, 1])
         equal_axes(panel, box)
         _draw_close(panel, prepared, spot, f"{'ab'[number]}: {spot.title}")
@@ -115,17 +122,23 @@ def _name_kinds(axes: Axes) -> None:
 
 
 def _spots(prepared: Prepared) -> Iterator[Spot]:
-    """Where the smallest fragment is, and the element that sets the step."""
+    """Where the smallest fragment is, and the element that sets the step; once where they are one."""
+    place, step = None, ""
+    if prepared.xfem is None:
+        place, step = step_place(prepared), f"sets the step, {prepared.estimate.dt:.3g} s"
     cut = [body for body in prepared.bodies if body.mesh.cut.any()]
     if cut:
         body = min(cut, key=lambda each: float(each.mesh.fraction.min()))
         least = int(np.argmin(body.mesh.fraction))
         title = f"smallest fragment, {body.mesh.fraction[least]:.3g} of its cell"
-        yield Spot(title, element_place(body.mesh, least), body.grid.cell_size)
-    if prepared.xfem is None:
-        place = step_place(prepared)
+        smallest, cell = element_place(body.mesh, least), body.grid.cell_size
+        if place is not None and np.hypot(*(place - smallest)) < SAME * cell:
+            yield Spot(f"{title};\n{step}", place, cell)
+            return
+        yield Spot(title, smallest, cell)
+    if place is not None:
         nearest = min(prepared.bodies, key=lambda each: _outside(each, place))
-        yield Spot(f"sets the step, {prepared.estimate.dt:.3g} s", place, nearest.grid.cell_size)
+        yield Spot(step, place, nearest.grid.cell_size)
 
 
 def _outside(body: Body, place: Floats) -> float:
@@ -203,8 +216,8 @@ def _name(axes: Axes, place: Floats, name: str) -> None:
     axes.text(*_pair(place), name, fontsize=9, ha="center", va="center", bbox=plate, zorder=6, clip_on=True)
 
 
-def _draw_contact(axes: Axes, prepared: Prepared) -> None:
-    """Slave and master segments of all pairs, and where they are nearest to each other."""
+def _draw_contact(axes: Axes, prepared: Prepared, size: float) -> None:
+    """Slave and master segments of all pairs, and where they are nearest; ``size`` is of what is shown, m."""
     for pair, gap in zip(prepared.pairs, initial_gaps(prepared), strict=True):
         masters = master_ends(prepared, pair.passes[0])
         lines(
@@ -215,13 +228,24 @@ def _draw_contact(axes: Axes, prepared: Prepared) -> None:
             label=f"{pair.name}: master {pair.master} (whole outline)",
         )
         slaves = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
-        what = "" if gap is None else f", gap {gap.distance:.3g} m" if gap.distance >= 0.0 else (
-            f", overlap {-gap.distance:.3g} m taken as zero"
+        what = "" if gap is None else f", gap {_length(gap.distance)}" if gap.distance >= 0.0 else (
+            f", overlap {_length(-gap.distance)} taken as zero"
         )  # fmt: skip
         lines(axes, slaves, color=SLAVE, linewidths=1.0, label=f"{pair.name}: slave {pair.slave}{what}")
-        if gap is not None and gap.distance > 0.0:
+        if gap is None:
+            continue
+        if not gap.distance > VISIBLE * size:
+            ring: dict[str, Any] = {"mfc": "none", "mec": SLAVE, "ms": 8.0, "ls": "", "zorder": 5}
+            axes.plot(*gap.slave[:, None], "o", label=f"{pair.name}: where the two are nearest", **ring)
+        else:
             arrow = {"arrowstyle": "<->", "color": SLAVE, "lw": 1.0}
             axes.annotate("", _pair(gap.master), _pair(gap.slave), arrowprops=arrow, zorder=5)
+
+
+def _length(value: float) -> str:
+    """A length to three digits, in a unit that suits it: "0.6 mm"."""
+    factor, unit = readable(value, "m")
+    return f"{value * factor:.3g} {unit}"
 
 
 def _draw_boundaries(axes: Axes, prepared: Prepared) -> None:

@@ -38,8 +38,8 @@ def plot(
             help="Pictures, von_mises unless given: fields (von_mises, J, stress_xx, stress_yy, stress_zz, "
             "stress_xy, mean_stress, principal_max, principal_min, strain_xx, strain_yy, strain_xy, "
             "displacement, velocity, each of these two with _x or _y), contact_pressure over arc length, "
-            "histories (energies, forces, reactions, motion, quality, or any column of history.csv), level_set "
-            "(with grid and relocated nodes), nodes (fragments, real and phantom nodes).",
+            "histories (energies, forces, impulses, reactions, motion, quality, or any column of history.csv), "
+            "level_set (with grid and relocated nodes), nodes (fragments, real and phantom nodes).",
         ),
     ] = ("von_mises",),
     time: Annotated[

@@ -29,6 +29,8 @@ NOTHING = 1e-6
 """Of the largest value of some curves: what stays below it is zero to the eye."""
 FEW = 40
 """Segments that ever bear, up to which each one has a mark."""
+TIP = 3
+"""Segments that bear where the sum of the pressures is largest, up to which it is a tip that bears."""
 ENERGIES = {
     "kinetic": "kinetic",
     "internal": "internal",
@@ -38,7 +40,7 @@ ENERGIES = {
     "damping": "dissipated by damping",
     "external_work": "external work",
 }
-HISTORIES = ("energies", "forces", "reactions", "motion", "quality")
+HISTORIES = ("energies", "forces", "impulses", "reactions", "motion", "quality")
 """The pictures of histories; any column of history.csv is one too."""
 
 
@@ -68,13 +70,24 @@ def draw_pressure(results: Results, pair: str, times: Sequence[Time]) -> Figure:
         )
     axes.set_xlim(touched_range(x, np.insert(np.max([*raw, *smooth], axis=0)[order], breaks, 0.0)))
     axes.set_ylim(bottom=0.0)
-    axes.set_xlabel(f"arc length along the undeformed surface, {arc_unit}; 0 at {start_of(along)}")
+    place = start_of(along, arc_factor, arc_unit)
+    axes.set_xlabel(f"arc length along the undeformed surface, {arc_unit}; 0 at {place}")
     axes.set_ylabel(f"contact pressure, {unit}")
-    explained = "line: through the hat filter, pale: of each segment"
+    explained = "line: through the hat filter, pale: of each segment" + (
+        "\n" + told if (told := of_tip(raw)) else ""
+    )
     axes.set_title(f"{results.title}: {pair} on {surfaces_of(results, pair)}\n{explained}", fontsize=10)
     axes.legend(frameon=False, fontsize=9)
     axes.grid(alpha=0.3)
     return figure
+
+
+def of_tip(pressure: Sequence[Floats]) -> str:
+    """What is to be said of the (k,) pressures of the segments at some times: nothing, unless a tip bears."""
+    most = max(pressure, key=lambda one: float(one.sum()))
+    if not 0 < np.count_nonzero(most) <= TIP:
+        return ""
+    return "a tip bears on a segment or two: its pressure depends on the cells, force and impulse do not"
 
 
 def bearing_times(results: Results, pair: str) -> list[float]:
@@ -95,10 +108,11 @@ def surfaces_of(results: Results, pair: str) -> str:
     return f"{table['slave']} and {table['master']}" if table.get("passes") == 2 else str(table["slave"])
 
 
-def start_of(along: Surface) -> str:
-    """Where the arc length is zero, without what is only rounding: "(0.5, 1.32) m"."""
+def start_of(along: Surface, factor: float, unit: str) -> str:
+    """Where the arc length is zero, in a unit, without what is only rounding: "(0.5, 1.32) m"."""
     place = np.where(np.abs(along.start) > 1e-9 * along.length, along.start, 0.0)
-    return "({:.4g}, {:.4g}) m".format(*place)
+    x, y = factor * place
+    return f"({x:.4g}, {y:.4g}) {unit}"
 
 
 def unrolled(along: Surface, touched: NDArray[np.bool_]) -> tuple[Surface, NDArray[np.int64]]:
@@ -172,6 +186,8 @@ def history_panels(results: Results, what: str) -> list[tuple[str, str, Curves]]
         return [("energy", "J/m", energies(history))]
     if what == "forces":
         return [("contact force on the slave", "N/m", _components(history, "contact", "f", results))]
+    if what == "impulses":
+        return [("impulse on the slave", "N s/m", _components(history, "contact", "i", results))]
     if what == "reactions":
         return [("force of the boundary on its body", "N/m", _components(history, "reaction", "f", results))]
     if what == "motion":
@@ -195,6 +211,7 @@ def histories_of(results: Results) -> list[str]:
     """Those of ``HISTORIES`` that a run has: not every case has contact pairs or boundaries."""
     there = {
         "forces": bool(results.pairs),
+        "impulses": bool(results.pairs),
         "reactions": bool(_held(results)),
         "quality": "dt" in results.summary,
     }

@@ -77,6 +77,16 @@ def tensors(xx: Floats, yy: Floats, zz: Floats, xy: Floats) -> Floats:
     return both
 
 
+class Highest(NamedTuple):
+    """The highest von Mises stress of a body in the frames: Pa, the mean of a cell as it is drawn; when, s; and the
+    (2,) middle of that cell on the undeformed body, m.
+    """
+
+    stress: float
+    time: float
+    place: Floats
+
+
 class Fields(Sampled):
     """Writes fields.pvd and, where there are contact pairs, contact.pvd.
 
@@ -94,6 +104,13 @@ class Fields(Sampled):
     ------
     Damaged
         Where a file is not what it was then.
+
+    Attributes
+    ----------
+    peak : Frame or None
+        The frame with the largest internal energy.
+    highest : list of Highest
+        Of each body.
     """
 
     def __init__(
@@ -103,11 +120,14 @@ class Fields(Sampled):
         names = ("fields", "contact") if prepared.pairs else ("fields",)
         series = [Series(folder / f"{name}.pvd", saved and saved[name]) for name in names]
         self._series = series
-        self._files: list[BodiesFile | ContactFile] = [BodiesFile(prepared)]
+        self._bodies = BodiesFile(prepared)
+        self._files: list[BodiesFile | ContactFile] = [self._bodies]
         if prepared.pairs:
             self._files.append(ContactFile(prepared))
         self.peak: Frame | None = None
+        self.highest = [Highest(0.0, 0.0, np.zeros(2)) for _ in prepared.bodies]
         if saved is not None:
+            self.highest = [Highest(float(row[0]), float(row[1]), row[2:]) for row in saved["highest"]]
             self._seen = saved["seen"]
             self.peak = frame_of(saved["peak"]) if saved["peak"] else None
 
@@ -115,6 +135,8 @@ class Fields(Sampled):
         """Write one frame; remember the one with the largest internal energy for a picture."""
         for file, series in zip(self._files, self._series, strict=True):
             series.add(frame.time, file.vtu(frame))
+        pairs = zip(self.highest, self._bodies.highest(frame.time), strict=True)
+        self.highest = [max(one, other, key=lambda each: each.stress) for one, other in pairs]
         if self.peak is None or frame.energies.internal > self.peak.energies.internal:
             self.peak = shown(frame)
 
@@ -123,6 +145,7 @@ class Fields(Sampled):
         super().finish(ending)
         self.reach_disk()
         self._files.clear()  # the pictures that follow want the memory
+        del self._bodies
 
     def reach_disk(self) -> None:
         """Wait until the disk holds all frames so far."""
@@ -142,6 +165,7 @@ class Fields(Sampled):
         """What the files hold so far, and the frame for the picture."""
         return {
             "seen": self._seen,
+            "highest": np.array([[one.stress, one.time, *one.place] for one in self.highest]),
             "peak": {} if self.peak is None else frame_tree(self.peak, resumable=False),
             **{series.path.stem: series.saved() for series in self._series},
         }
@@ -184,6 +208,9 @@ class BodiesFile:
         )
         self._points = np.zeros((clipped.points, 3), np.dtype(self._points_as.precision))
         self._motion = {name: np.zeros((clipped.points, 3), kind) for name in ("displacement", "velocity")}
+        ends = len(clipped.quads) + np.cumsum([0, *(len(body.mesh.triangles) for body in prepared.bodies)])
+        triangles = [slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
+        self._own = [(body.elements, own) for body, own in zip(prepared.bodies, triangles, strict=True)]
 
     def vtu(self, frame: Frame) -> list[bytes]:
         """The content of one file, in pieces."""
@@ -207,6 +234,24 @@ class BodiesFile:
             encoding,
             self._points_as,
         )
+
+    def highest(self, time: float) -> Iterator[Highest]:
+        """The highest von Mises stress of each body in the last file, which was of this time, s."""
+        for parts in self._own:
+            cells = [
+                part.start + int(np.argmax(self._state.mises[part]))
+                for part in parts
+                if part.stop > part.start
+            ]
+            cell = max(cells, key=lambda number: self._state.mises[number])
+            yield Highest(float(self._state.mises[cell]), time, self._middle(cell))
+
+    def _middle(self, cell: int) -> Floats:
+        """(2,) The middle of a cell on the undeformed body, m."""
+        quads = self._clipped.quads
+        corners = quads[cell] if cell < len(quads) else self._clipped.triangles[cell - len(quads)]
+        points = self._points[corners, :2].astype(np.float64) - self._motion["displacement"][corners, :2]
+        return np.asarray(points.mean(axis=0))
 
 
 class ContactLines(NamedTuple):

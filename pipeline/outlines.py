@@ -122,7 +122,12 @@ def chains(ends: Floats) -> list[Chain]:
 
 
 def solid_sides(ends: Floats, width: float) -> list[Floats]:
-    """Polygons, (k, 2), that show where obstacles are solid, on the left of their segments.
+    """Polygons, (k, 2), that show where obstacles are solid; those of :func:`sides_of`."""
+    return [polygon for polygon, _ in sides_of(ends, width)]
+
+
+def sides_of(ends: Floats, width: float) -> list[tuple[Floats, int]]:
+    """Polygons, (k, 2), that show where obstacles are solid, on the left of their segments; a segment of each.
 
     The inside of a chain that is closed about it; of others a strip along each segment.
 
@@ -133,17 +138,18 @@ def solid_sides(ends: Floats, width: float) -> list[Floats]:
     width : float, m
         Of the strips.
     """
-    found: list[Floats] = []
+    found: list[tuple[Floats, int]] = []
     for chain in chains(ends):
         start, end = np.moveaxis(ends[chain.order], 1, 0)
         twice = np.sum(start[:, 0] * end[:, 1] - end[:, 0] * start[:, 1])
         if chain.closed and twice > 0.0:
-            found.append(start)
+            found.append((start, int(chain.order[0])))
             continue
         along = end - start
         length = np.maximum(np.hypot(*along.T), np.finfo(np.float64).tiny)
         aside = width * np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]
-        found.extend(np.stack([start, end, end + aside, start + aside], axis=1))
+        strips = np.stack([start, end, end + aside, start + aside], axis=1)
+        found.extend(zip(strips, chain.order.tolist(), strict=True))
     return found
 
 

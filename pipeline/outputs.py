@@ -41,6 +41,8 @@ def _own_outputs(case: Case) -> Iterator[str]:
         yield from (f"contact_impulse.{pair}.{axis}" for axis in "xy")
     yield from (f"peak_reaction.{boundary}" for boundary in case.boundary)
     for body in case.body:
+        yield f"highest_von_mises.{body}"
+        yield from (f"momentum.{body}.reaction.{axis}" for axis in "xy")
         yield from (f"velocity.{body}.{when}.{axis}" for when in ("start", "end") for axis in "xy")
         yield f"mass.{body}"
     yield from SCALARS
@@ -50,7 +52,8 @@ def _own_outputs(case: Case) -> Iterator[str]:
 
 UNITS = {
     "peak_contact_force": "N/m", "peak_reaction": "N/m", "largest_penetration": "m", "contact_impulse": "N s/m",
-    "velocity": "m/s", "mass": "kg/m", "energies": "J/m", "internal_energy_max": "J/m", "hourglass_energy_max": "J/m",
+    "velocity": "m/s", "highest_von_mises": "Pa", "momentum": "N s/m", "mass": "kg/m",
+    "energies": "J/m", "internal_energy_max": "J/m", "hourglass_energy_max": "J/m",
     "stable_step_min": "s", "dt": "s", "dt_stable": "s", "end_time": "s", "wall_s": "s", "step_loop_s": "s",
     "element_updates_per_s": "1/s",
 }  # fmt: skip

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from phantomnode.pipeline.curve_pictures import (
     histories_of,
     history_panels,
+    of_tip,
     start_of,
     surfaces_of,
     touched_range,
@@ -44,7 +45,7 @@ def chart(title: str, x: Floats, x_label: str, y_label: str, curves: Mapping[str
 
 
 def history_charts(results: Results) -> list[dict[str, Any]]:
-    """Energies, forces, reactions, motion and quality over time, as far as the case has them."""
+    """Energies, forces, impulses, reactions, motion and quality over time, as far as the case has them."""
     time = results.history.time
     factor, unit = readable(float(time[-1]), "s")
     charts = []
@@ -103,6 +104,7 @@ def pressure_charts(results: Results, times: Sequence[float]) -> list[dict[str, 
     for number, pair in enumerate(results.pairs):
         along = results.surface(pair)
         smooth = np.stack([f.of_pair(number, "pressure_filtered")[along.order] for f in frames])
+        tip = of_tip([f.of_pair(number, "pressure") for f in frames])
         along, order = unrolled(along, smooth.max(axis=0) > 0.0)
         factor, unit = readable(smooth, "Pa")
         arc_factor, arc_unit = readable(along.length, "m")
@@ -114,7 +116,8 @@ def pressure_charts(results: Results, times: Sequence[float]) -> list[dict[str, 
                 "xRange": touched_range(x, smooth[:, order].max(axis=0)),
                 "xLabel": f"arc length, {arc_unit}",
                 "yLabel": unit,
-                "note": f"Through the hat filter, on the undeformed surface, 0 at {start_of(along)}.",
+                "note": f"Through the hat filter, on the undeformed surface, 0 at "
+                f"{start_of(along, arc_factor, arc_unit)}{'; ' if tip else ''}{tip}.",
                 "largest": float(smooth.max() * factor),
                 "frames": packed((smooth[:, order] * factor).astype(np.float32)),
             }

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PRESSURE, LEVEL_SET, NODES = "contact_pressure", "level_set", "nodes"
+KNOWN = (*QUANTITIES, PRESSURE, *HISTORIES, LEVEL_SET, NODES)
+"""All pictures, beside those of single columns of history.csv."""
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 NEAR = 1e-6
 """A frame within this part of the run of the time that was asked for is that time."""
@@ -69,11 +71,13 @@ def picture(
         return draw(results.prepared, results.title, corners)
     if what in HISTORIES or what in results.history:
         return draw_history(results, what)
-    known = (*QUANTITIES, PRESSURE, *HISTORIES, LEVEL_SET, NODES)
-    raise CaseError(
-        f"--what {what}: is no picture{suggestion(what, (*known, *results.history))}; there are: {listed(known)}, "
-        "and the columns of history.csv"
-    )
+    raise CaseError(_no_picture(results, what))
+
+
+def _no_picture(results: Results, what: str) -> str:
+    """That there is no such picture, and which there are."""
+    near = suggestion(what, (*KNOWN, *results.history))
+    return f"--what {what}: is no picture{near}; there are: {listed(KNOWN)}, and the columns of history.csv"
 
 
 def box_from(box: Sequence[float] | None) -> NDArray[np.float64] | None:
@@ -139,11 +143,20 @@ def plot_files(
     CaseError
         Where something asked for does not exist.
     """
+    for one in what:  # all of them, before the first one is drawn
+        if one not in KNOWN and one not in results.history:
+            raise CaseError(_no_picture(results, one))
     written = []
     wanted = [(one, [time]) for one in what if one in QUANTITIES for time in times or ("peak",)]
     wanted += [(one, list(times) or _own_times(results, one, pair)) for one in what if one not in QUANTITIES]
     for number, (one, at) in enumerate(wanted):
-        path = _path_of(results, one, at, out, number, len(wanted))
+        named = at if one in QUANTITIES or (one == PRESSURE and times) else []
+        parts = [
+            one,
+            *([pair] if pair and one == PRESSURE else []),
+            *(_time_named(results, time) for time in named),
+        ]
+        path = _path_of(results, parts, out, number, len(wanted))
         figure = picture(results, one, at, pair=pair, limits=limits, box=box)
         path.parent.mkdir(parents=True, exist_ok=True)
         save(figure, path)
@@ -185,18 +198,18 @@ def parse_time(text: str) -> Time:
     return time
 
 
-def _path_of(
-    results: Results, what: str, times: Sequence[Time], out: Path | None, number: int, count: int
-) -> Path:
-    """The file of a picture."""
+def _time_named(results: Results, time: Time) -> str:
+    """The time of a frame, for the name of a file: "4.5ms"."""
+    return moment(results.times[results.nearest(time)]).replace(" ", "").replace("µ", "u")
+
+
+def _path_of(results: Results, parts: Sequence[str], out: Path | None, number: int, count: int) -> Path:
+    """The file of a picture, named after what it shows, which pair, and which times."""
     if out is not None and out.suffix.lower().removeprefix(".") in FORMATS:
         return out if count == 1 else out.with_name(f"{out.stem}-{number + 1}{out.suffix}")
     if out is not None and out.suffix:
         raise CaseError(f"--out {out}: pictures end in {listed('.' + name for name in FORMATS)}")
-    at = ""
-    if what in QUANTITIES:
-        at = f".{moment(results.times[results.nearest(times[0])]).replace(' ', '').replace('µ', 'u')}"
-    return (out or results.path) / f"plot.{what}{at}.png"
+    return (out or results.path) / f"plot.{'.'.join(parts)}.png"
 
 
 def _exact(time: float) -> str:

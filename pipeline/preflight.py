@@ -200,7 +200,7 @@ def _body_rows(prepared: Prepared, walls: list[Wall]) -> Iterator[tuple[str, ...
     yield row("nodes", "", [str(len(body.mesh.xy)) for body in bodies])
     yield row("phantom nodes", "", [str(np.count_nonzero(~body.mesh.real)) for body in bodies])
     yield row("nodes relocated", "", [str(body.relocated) for body in bodies])
-    yield row("smallest fraction", "", [f"{body.mesh.fraction.min():.3g}" for body in bodies])
+    yield row("smallest fraction", "of a cell", [f"{body.mesh.fraction.min():.3g}" for body in bodies])
 
 
 def _pair_rows(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[tuple[str, ...]]:

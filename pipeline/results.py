@@ -296,7 +296,7 @@ class Results:
         ----------
         what : str
             A field (``von_mises``, ``stress_xx``, ``velocity``, ...), ``contact_pressure``, ``energies``, ``forces``,
-            ``reactions``, ``motion``, ``quality``, a column of history.csv, ``level_set`` or ``nodes``.
+            ``impulses``, ``reactions``, ``motion``, ``quality``, a column of history.csv, ``level_set`` or ``nodes``.
         time : float, str, or several
             Of fields and of the contact pressure: s, ``"start"``, ``"peak"`` or ``"end"``.
         **options

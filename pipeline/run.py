@@ -149,7 +149,7 @@ def run(
             wall = start.past.wall + time.perf_counter() - began
             clock = Clock(wall, start.past.steps + stepping)
             source["resumed_at"] = list(start.past.resumed_at)
-            summary = summarize(prepared, start.tally, ending, clock, folder, source)
+            summary = summarize(prepared, start.tally, ending, clock, folder, source, start.fields.highest)
             _finish(prepared, start, summary, log)
             LOG.info("summary, picture and manifest are written; %.2f s in all", wall)
     except OSError as error:

@@ -18,6 +18,9 @@ from phantomnode.pipeline.results import Results
 from phantomnode.pipeline.trust import Finding, findings, trusted
 from phantomnode.pipeline.view_data import view_data
 
+NO_PART = 1e-5
+"""Of the largest part of some vectors: a part that is smaller is rounding."""
+
 UNENDED = Finding(
     False,
     "End",
@@ -168,33 +171,43 @@ def _words(value: Any) -> str:
     """A value of a case: text without its quotes, numbers in a few digits."""
     if isinstance(value, str):
         return value
-    return f"{value:g}" if isinstance(value, int | float) else shown(value)
+    return f"{value:g}" if isinstance(value, int | float) else shown(_short(value))
 
 
-def _velocities(velocity: dict[str, list[float]]) -> tuple[str, str]:
-    """Velocities at the start and the end, without what is only rounding."""
-    rounding = 1e-5 * max(abs(part) for when in velocity.values() for part in when)
-    start, end = (
-        "({:.4g}, {:.4g})".format(*(part if abs(part) > rounding else 0.0 for part in velocity[when]))
-        for when in ("start", "end")
-    )
-    return start, end
+def _short(value: Any) -> Any:
+    """A value of a case, its numbers without the digits of rounding: 0.015 for 0.015000000000000001."""
+    if isinstance(value, dict):
+        return {key: _short(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_short(one) for one in value]
+    return float(f"{value:.7g}") if isinstance(value, float) else value
+
+
+def _vector(vector: Sequence[float], largest: float) -> str:
+    """The two parts of a vector, without what is only rounding beside the largest one: "(0, -20)"."""
+    return "({:.4g}, {:.4g})".format(*(part if abs(part) > NO_PART * largest else 0.0 for part in vector))
+
+
+def _largest(*vectors: Sequence[float]) -> float:
+    return max(abs(part) for vector in vectors for part in vector)
 
 
 def _outcome(figures: dict[str, Any]) -> Iterator[str]:
-    """Contact phases, forces and velocities."""
+    """Contact phases, forces, velocities and stresses."""
     for name, phases in figures.get("contact_phases", {}).items():
         peak, unit = readable(figures["peak_contact_force"][name], "N/m")
         spans = ", ".join(f"{moment(start)} to {moment(end)}" for start, end in phases[:6])
         more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
         touched = f"touches {spans}{more}" if phases else "never touches"
-        yield f"{name} {touched}."
+        touches = len(figures["contact_touches"][name])
+        breaks = f", in {touches} touches: breaks in which no wave crosses the slave's body do not part them"
+        yield f"{name} {touched}{breaks if touches > len(phases) else ''}."
         if phases:
-            x, y = figures["contact_impulse"][name]
+            impulse, slave = figures["contact_impulse"][name], figures["slave"][name]
             yield (
-                f"{name}: impulse on the slave ({x:.4g}, {y:.4g}) N s/m; peak force "
-                f"{figures['peak_contact_force'][name] * peak:.4g} {unit}, that of a single step: stiff penalties "
-                f"chatter, so compare impulses. The two overlap by at most {_depth(figures, name)}."
+                f"{name}: impulse on {slave} {_vector(impulse, _largest(impulse))} N s/m; peak force "
+                f"{figures['peak_contact_force'][name] * peak:.4g} {unit}, that of a single step: compare runs by "
+                f"their impulses. The two overlap by at most {_depth(figures, name)}."
             )
         if name in figures.get("still_closing", ()):
             yield f"{name}: the two still move towards each other at the end; a larger time.end shows the rebound."
@@ -203,9 +216,33 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
             continue  # it bears what its contact pairs give it
         factor, unit = readable(peak_force, "N/m")
         yield f"Reaction at {name}: at most {peak_force * factor:.4g} {unit} in the rows of the history."
+    for name, momentum in figures.get("momentum", {}).items():
+        reaction = momentum.get("reaction", (0.0, 0.0))
+        if any(reaction):
+            yield f"{name}: impulse of what holds or moves it {_vector(reaction, _largest(reaction))} N s/m."
     for name, velocity in figures.get("velocity", {}).items():
-        start, end = _velocities(velocity)
+        largest = _largest(*velocity.values())
+        start, end = (_vector(velocity[when], largest) for when in ("start", "end"))
         yield f"{name}: velocity of the centre of mass {start} m/s at the start, {end} m/s at the end."
+    yield from _stresses(figures)
+
+
+def _stresses(figures: dict[str, Any]) -> Iterator[str]:
+    """The highest stress of each body, and what it does not say."""
+    named = [(name, stress) for name, stress in figures.get("highest_von_mises", {}).items() if stress]
+    for name, stress in named:
+        factor, unit = readable(stress, "Pa")
+        at = figures["highest_von_mises_at"][name]
+        place = "({:.4g}, {:.4g})".format(*at["place"])
+        yield (
+            f"{name}: von Mises stress up to {stress * factor:.4g} {unit}, at {moment(at['time'])}, in {place} m of "
+            "the undeformed body."
+        )
+    if named:
+        yield (
+            "Stresses are means of cells, as drawn, in the frames that are written. The law is elastic at any "
+            "stress: compare them with the yield stress of the material."
+        )
 
 
 def _depth(figures: dict[str, Any], pair: str) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +14,7 @@ import numpy as np
 from phantomnode import __version__
 from phantomnode.pipeline.census import areas, count, pair_penalty, placed, step_set_by, wall
 from phantomnode.pipeline.drawing import moment
+from phantomnode.pipeline.fields import Highest
 from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Prepared
@@ -102,8 +103,12 @@ def summarize(
     clock: Clock,
     path: Path,
     source: Mapping[str, Any] | None = None,
+    highest: Sequence[Highest] = (),
 ) -> Summary:
-    """Everything that summary.json holds, from a run that has ended; ``source`` is where it comes from."""
+    """Everything that summary.json holds, from a run that has ended.
+
+    ``source`` is where it comes from, ``highest`` has the highest stress of each body in the frames.
+    """
     case, last = prepared.case, tally.last
     counts = count(prepared)
     steps = last.step if last is not None else 0
@@ -134,6 +139,11 @@ def summarize(
     if last is not None:
         checks = run_checks(prepared, tally)
         figures |= outcome(prepared, tally)
+        named = [(body.name, one) for body, one in zip(prepared.bodies, highest, strict=False)]
+        figures["highest_von_mises"] = {name: one.stress for name, one in named}
+        figures["highest_von_mises_at"] = {
+            name: {"time": one.time, "place": one.place} for name, one in named
+        }
         figures["checks"] = [check._asdict() for check in checks]
     return Summary(ending.status, path, figures, checks)
 
@@ -158,6 +168,7 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
             for boundary, peak in zip(prepared.boundaries, tally.peak_reaction, strict=True)
         },
         "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
+        "slave": {pair.name: pair.slave for pair in prepared.pairs},
         "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},
         "still_closing": [name for k, name in pairs if tally.still_closing(k)],
         "penalty": {pair.name: pair_penalty(prepared, pair) for pair in prepared.pairs},
@@ -166,7 +177,13 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
         "contact_touches": {name: tally.touches(k) for k, name in pairs},
         "largest_penetration": {name: float(tally.penetration[k]) for k, name in pairs},
         "momentum": {
-            name: {"start": m.start, "end": m.end, "impulse": m.impulse, "error": m.error}
+            name: {
+                "start": m.start,
+                "end": m.end,
+                "impulse": m.impulse,
+                "error": m.error,
+                "reaction": m.reaction,
+            }
             for name, m in momenta.items()
         },
         "velocity": {name: {"start": start, "end": end} for name, (start, end) in velocities.items()},
@@ -250,15 +267,19 @@ def highlights(figures: dict[str, Any]) -> list[str]:
         lines.append(f"contact   {name}: {len(phases)} {word} {spans}{more}".rstrip())
         if phases:
             x, y = figures["contact_impulse"][name]
-            peak = figures["peak_contact_force"][name]
-            lines.append(
-                f"          impulse on the slave ({x:.4g}, {y:.4g}) N s/m, peak force of a step {peak:.4g} N/m"
-            )
+            lines.append(f"          impulse on {figures['slave'][name]} ({x:.4g}, {y:.4g}) N s/m")
+            peak, depth = figures["peak_contact_force"][name], figures["largest_penetration"][name]
+            lines.append(f"          peak force of a step {peak:.4g} N/m, overlap at most {depth:.3g} m")
         if name in figures.get("still_closing", ()):
             lines.append("          the two still move towards each other: time.end comes before they part")
     for name, velocity in figures.get("velocity", {}).items():
         start, end = (f"({v[0]:.4g}, {v[1]:.4g})" for v in (velocity["start"], velocity["end"]))
         lines.append(f"velocity  {name}: {start} -> {end} m/s, centre of mass")
+    for name, stress in figures.get("highest_von_mises", {}).items():
+        at = figures["highest_von_mises_at"][name]
+        place = "({:.4g}, {:.4g})".format(*at["place"])
+        text = f"von Mises up to {stress:.4g} Pa at {moment(at['time'])}, in {place} m of the undeformed body"
+        lines.append(f"stress    {name}: {text}")
     lines.append(
         f"steps     {figures['steps']} of {figures['dt']:.3g} s in {figures['step_loop_s']:.1f} s "
         f"({figures['element_updates_per_s'] / 1e6:.1f} million element updates/s), "

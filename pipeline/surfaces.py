@@ -20,6 +20,9 @@ Bools = NDArray[np.bool_]
 
 SIDES_OF_INTERFACE: tuple[str, ...] = ("plus", "minus")
 
+STRIP = 0.1
+"""Of the size of a body: the depth of the box that is suggested where a side has no straight line."""
+
 ON_EDGE = 1e-5
 """Local coordinates this near to +-1 are on the edge of a cell: the lattice rounds them to 1e-6."""
 
@@ -70,7 +73,8 @@ def surface(place: str, bodies: dict[str, CutBody], key: str) -> Surface:
         close = get_close_matches(what, known, 1)
         hint = f'; did you mean "{owner}.{close[0]}"?' if close else ""
         if what in SIDES:
-            hint = f" (no straight line of it lies on the {what} of its bounding box)"
+            instead = _instead(owner, body, what) if key.startswith("boundary.") else ""
+            hint = f" (no straight line of it lies on the {what} of its bounding box{instead})"
         raise CaseError(f'{key}: "{place}" is unknown; the parts of {owner} are: {", ".join(known)}{hint}')
     if len(chosen) == 0:
         raise CaseError(
@@ -78,6 +82,19 @@ def surface(place: str, bodies: dict[str, CutBody], key: str) -> Surface:
             "move it or use smaller cells"
         )
     return Surface(body_name, chosen)
+
+
+def _instead(name: str, body: CutBody, side: str) -> str:
+    """What a boundary can be on where a body only touches a side of its bounding box: the nodes near it."""
+    boxes = np.array([region.box for region in body.regions])
+    low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+    axis, depth = int(side in ("bottom", "top")), STRIP * (high - low)
+    if side in ("bottom", "left"):
+        high[axis] = low[axis] + depth[axis]
+    else:
+        low[axis] = high[axis] - depth[axis]
+    box = ", ".join(f"[{x:.4g}, {y:.4g}]" for x, y in (low - 0.01 * depth, high + 0.01 * depth))
+    return f'; the nodes there are {{ body = "{name}", box = [{box}] }}'
 
 
 def _outline(body: CutBody, what: str) -> Ints:

@@ -40,13 +40,15 @@ class Momentum(NamedTuple):
 
     impulse: of its contact pairs, loads, weak supports, gravity and mass damping, over the run; error: |change -
     impulse| over the larger of the two, in the directions without a prescribed motion; None where both directions
-    have one.
+    have one. There the change is what nodes with a prescribed motion were given besides. reaction: the impulse of all
+    that holds or moves the body, of these nodes (change - impulse) and of weak supports.
     """
 
     start: Floats
     end: Floats
     impulse: Floats
     error: float | None
+    reaction: Floats
 
 
 class Tally:
@@ -193,33 +195,41 @@ class Tally:
         if model.damping.mass > 0.0:
             moved = mass @ (self.last.u[body.nodes] - self.first.u[body.nodes])
             impulse = impulse - model.damping.mass * moved
-        applied, largest = self._applied_impulse(body)
-        impulse = impulse + applied
+        loads, supports = self._load_impulses(body), self._support_impulses(body)
+        impulse = impulse + np.sum(loads + supports, axis=0)
         free = np.all(model.channel[body.nodes] < 0, axis=0)
+        reaction = np.where(free, 0.0, end - start - impulse) + np.sum(supports, axis=0)
         error = None
         if np.any(free):
             change, given = (end - start)[free], impulse[free]
+            largest = float(np.max(np.hypot(*np.array(loads + supports).T)))
             size = max(float(np.hypot.reduce(change)), float(np.hypot.reduce(given)))
             rest = REST * (float(mass.sum()) * self.speed_max + largest)
             error = float(np.hypot.reduce(change - given)) / size if size > rest else 0.0
-        return Momentum(start, end, impulse, error)
+        return Momentum(start, end, impulse, error, reaction)
 
-    def _applied_impulse(self, body: Body) -> tuple[Floats, float]:
-        """Impulse of the loads and weak supports of a body over the run, (2,), and the largest single one."""
+    def _load_impulses(self, body: Body) -> list[Floats]:
+        """Impulses of the loads of a body over the run, (2,) each; the first is zero."""
         assert self.first is not None and self.last is not None
-        loads, supports = self._prepared.model.loads, self._prepared.model.supports
-        here = (body.nodes.start, body.nodes.stop - 1)
+        loads, here = self._prepared.model.loads, (body.nodes.start, body.nodes.stop - 1)
         impulses = [np.zeros(2)]
         for node, row in ((loads.node, loads.row), (loads.point_nodes[:, 0], loads.point_row)):
             for r in np.unique(row[(node >= here[0]) & (node <= here[1])]):
                 impulses.append(self.last.load_impulse[r] - self.first.load_impulse[r])
+        return impulses
+
+    def _support_impulses(self, body: Body) -> list[Floats]:
+        """Impulses of the weak supports of a body over the run, (2,) each; the first is zero."""
+        assert self.first is not None and self.last is not None
+        supports, impulses = self._prepared.model.supports, [np.zeros(2)]
+        here = (body.nodes.start, body.nodes.stop - 1)
         held = (supports.nodes[:, 0] >= here[0]) & (supports.nodes[:, 0] <= here[1])
         for axis in range(2):
             channels = np.unique(supports.channel[held, axis])
             for c in channels[channels >= 0]:
                 during = self.last.support_impulse[c] - self.first.support_impulse[c]
                 impulses.append(during * np.eye(2)[axis])
-        return np.sum(impulses, axis=0), float(np.max(np.hypot(*np.array(impulses).T)))
+        return impulses
 
     def velocity(self, body: Body) -> tuple[Floats, Floats]:
         """Velocity of the centre of mass at the start and at the end, m/s, (2,) each."""

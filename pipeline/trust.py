@@ -134,8 +134,9 @@ def _mesh(figures: dict[str, Any]) -> Iterator[Finding]:
     text = (
         f"The bodies as cut have the area of the drawing to {percent(off[worst])} ({worst}). "
         f"{counts['cut']} of {counts['elements']} elements are cut; the smallest fragment is "
-        f"{percent(counts['smallest_fraction'])} of its cell; {counts['phantom_nodes']} of {counts['nodes']} nodes "
-        f"are phantom nodes, {counts['relocated_nodes']} were moved onto curves."
+        f"{percent(counts['smallest_fraction'])} of its cell, which the step allows for; "
+        f"{counts['phantom_nodes']} of {counts['nodes']} nodes are phantom nodes, "
+        f"{counts['relocated_nodes']} were moved onto curves."
     )
     passed = off[worst] <= AREA
     yield Finding(passed, "Mesh", text if passed else f"{text} To do: take smaller cells.")

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.drawing import box_of, readable
-from phantomnode.pipeline.field_pictures import MAPS, joint_limits, limits_of, map_of, with_obstacles
+from phantomnode.pipeline.field_pictures import MAPS, SOLID, joint_limits, limits_of, map_of, with_obstacles
 from phantomnode.pipeline.frames import FieldsFrame
+from phantomnode.pipeline.outlines import sides_of
 from phantomnode.pipeline.packing import packed, quantised
 from phantomnode.pipeline.quantities import QUANTITIES
 from phantomnode.pipeline.results import Results
@@ -99,12 +100,32 @@ def view_data(results: Results) -> dict[str, Any] | None:
         "box": box.tolist(),
         "points": packed(np.stack(points)),
         "obstacles": packed(np.stack(obstacles).astype(np.float32)) if len(first.obstacles) else None,
+        "solid": _solid(first.obstacles, SOLID * float(np.max(box[1] - box[0]))),
         "reference": packed(first.reference.astype(np.float32)),
         "quads": packed(first.quads.astype(np.uint32)),
         "triangles": packed(first.triangles.astype(np.uint32)),
         "outline": packed(first.outline.astype(np.uint32)),
         "fields": [_field(name, spans[name], np.stack(values[name])) for name in choice.fields],
         "maps": {name: _colours(name) for name in sorted({*MAPS.values()})},
+    }
+
+
+def _solid(obstacles: Floats, width: float) -> dict[str, Any] | None:
+    """The solid sides of obstacles at the start, as triangles, and the segment with which each point moves."""
+    if len(obstacles) == 0:
+        return None
+    import mapbox_earcut
+
+    corners, triangles, segments = list[Floats](), list[NDArray[np.uint32]](), list[int]()
+    for polygon, segment in sides_of(obstacles, width):
+        own = mapbox_earcut.triangulate_float64(polygon.astype(np.float64), np.array([len(polygon)]))
+        triangles.append(own.astype(np.uint32) + np.uint32(len(segments)))
+        corners.append(polygon)
+        segments += [segment] * len(polygon)
+    return {
+        "points": packed(np.concatenate(corners).astype(np.float32)),
+        "triangles": packed(np.concatenate(triangles)),
+        "segments": packed(np.array(segments, dtype=np.uint32)),
     }
 
 

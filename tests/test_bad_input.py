@@ -138,6 +138,11 @@ FAULTS: dict[str, tuple[Callable[[Path], None], list[str], str]] = {
         ["body.part.geometry.rotate=5.0", "contact.landing.slave='part.bottom'"],
         "no straight line",
     ),
+    "side of a boundary without a straight line": (
+        nothing,
+        ["body.part.geometry.rotate=5.0", "boundary.hold={on='part.bottom', displacement={y=0.0}}"],
+        'the nodes there are { body = "part", box = [[',
+    ),
     "surface held twice": (
         nothing,
         [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,11 @@ import pytest
 import shapely
 from matplotlib.collections import PolyCollection
 
+from phantomnode.geometry.curves import SIDES
 from phantomnode.pipeline import check_picture
 from phantomnode.pipeline.case import case_from_table, load_case
 from phantomnode.pipeline.drawing import moment
+from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.gaps import initial_gaps, meeting_time
 from phantomnode.pipeline.preflight import _bytes, element_place, estimated_disk, step_place, text_report
 from phantomnode.pipeline.prepare import Prepared, prepare
@@ -125,7 +129,8 @@ def test_the_picture_names_what_it_shows(apart: Prepared, monkeypatch, fine: int
     (legend,) = figure.legends
     assert {text.get_text() for text in legend.get_texts()} == {
         "fall: master floor.outer (whole outline)",
-        "fall: slave block.bottom, gap 0.03 m",
+        "fall: slave block.bottom, gap 30 mm",
+        "fall: where the two are nearest",
         "base: y held (21 nodes)",
         "push: load (12 nodes)",
         "uncut cells, a colour a body",
@@ -217,3 +222,28 @@ def test_a_body_faster_than_its_waves_is_doubtful() -> None:
     assert told.startswith(
         "body block starts at 5 m/s, faster than the waves in soft, 0.116 m/s: are E = 10 Pa"
     )
+
+
+def test_one_element_that_is_smallest_and_sets_the_step_is_shown_once(apart: Prepared, monkeypatch) -> None:
+    least = min(apart.bodies, key=lambda body: float(body.mesh.fraction.min()))
+    place = element_place(least.mesh, int(np.argmin(least.mesh.fraction)))
+    assert len([*check_picture._spots(apart)]) == 2
+    monkeypatch.setattr(check_picture, "step_place", lambda prepared: place)
+    (spot,) = check_picture._spots(apart)
+    assert "smallest fragment" in spot.title and "sets the step" in spot.title
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_box_that_is_suggested_for_a_side_holds_nodes_there(side: str) -> None:
+    """A square that stands on its corner has no straight side; the message gives what to write instead."""
+    table = two_blocks(0.03)
+    diamond = [[0.0, 1.0], [1.0, 0.1], [2.0, 1.0], [1.0, 2.0]]
+    table["body"]["block"]["geometry"] = {"polygon": {"points": diamond}}
+    table["contact"]["fall"]["slave"] = "block.outer"
+    table["boundary"] = {"hold": {"on": f"block.{side}", "displacement": {"y": 0.0}}}
+    with pytest.raises(CaseError) as refused:
+        prepare(case_from_table(table))
+    (written,) = re.findall(r"the nodes there are (\{.*\})\)", str(refused.value))
+    table["boundary"]["hold"]["on"] = tomllib.loads(f"on = {written}")["on"]
+    (hold,) = prepare(case_from_table(table)).boundaries
+    assert 3 <= len(hold.nodes) <= 20

@@ -116,6 +116,24 @@ def test_frame_holds_what_the_contract_names(written, handmade):
     np.testing.assert_array_equal(np.concatenate(mesh.cell_data["body"]), [0, 0, 0, 1, 0, 0, 0])
 
 
+def test_the_highest_stress_has_its_time_and_place(handmade, frame_of, tmp_path):
+    """Only a node of the floor moves: its cell has the stress, the block none; later ones are smaller."""
+    floor, local = handmade.bodies[1], np.zeros_like(handmade.model.x)
+    local[floor.nodes.start] = (0.0, 0.01)
+    fields = Fields(handmade, tmp_path, frozenset({0, 1, 2}))
+    for step, part in ((0, 0.0), (1, 1.0), (2, 0.5)):
+        fields.frame(frame_of(step, u=part * local))
+    block, highest = fields.highest
+    assert block == (0.0, 0.0, pytest.approx(0.0))
+    assert highest.stress > 0.0 and highest.time == handmade.dt
+    np.testing.assert_allclose(
+        highest.place, floor.mesh.xy[floor.mesh.elements[0]].mean(axis=0), atol=FLOAT32
+    )
+    again = Fields(handmade, tmp_path, frozenset({0, 1, 2}), fields.saved())
+    assert [one.stress for one in again.highest] == [0.0, highest.stress]
+    np.testing.assert_array_equal(again.highest[1].place, highest.place)
+
+
 def test_homogeneous_deformation_gives_the_closed_form(written, handmade):
     """Hencky's law, J sigma = lambda ln J I + 2 mu ln V, with ln V from an eigendecomposition."""
     folder, _, deformation = written

@@ -24,7 +24,7 @@ from phantomnode.pipeline.packing import packed, quantised
 from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.report import write_report
 from phantomnode.pipeline.trust import findings, trusted
-from phantomnode.pipeline.view_data import BUDGET, chosen, view_data
+from phantomnode.pipeline.view_data import BUDGET, _solid, chosen, view_data
 
 LIMIT = 8_000_000
 """Bytes of a page, at most."""
@@ -116,6 +116,20 @@ class TestData:
         shown = least + (most - least) * unpacked(stress["values"])[number] / 65535
         in_unit = frame.values("von_mises") * shown.max() / frame.values("von_mises").max()
         np.testing.assert_allclose(shown, in_unit, atol=(most - least) / 65535)
+
+    def test_solid_sides_of_obstacles_are_triangles_that_know_their_segment(self):
+        """A wedge beside an L, both closed, and an open floor; the floor's strip is as wide as asked for."""
+        wedge = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 1.0]])
+        corner = np.array([[3.0, 0.0], [5.0, 0.0], [5.0, 1.0], [4.0, 1.0], [4.0, 2.0], [3.0, 2.0]])
+        closed = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in (wedge, corner)]
+        ends = np.concatenate([*closed, [[[6.0, -1.0], [0.0, -1.0]]]])
+        solid = {name: unpacked(array) for name, array in _solid(ends, 0.1).items()}
+        points = solid["points"][solid["triangles"].reshape(-1, 3)]
+        a, b = np.moveaxis(points[:, 1:] - points[:, :1], 1, 0)
+        area = 0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
+        assert area == pytest.approx(0.5 + 3.0 + 0.6, rel=1e-6)
+        assert [*np.unique(solid["segments"])] == [0, 3, 9] and len(solid["segments"]) == 3 + 6 + 4
+        assert _solid(np.zeros((0, 2, 2)), 0.1) is None
 
     def test_what_is_too_large_loses_fields_then_frames_then_the_view(self):
         small = chosen(60, 20_000, 10_000, 5_000)

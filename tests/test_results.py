@@ -22,6 +22,7 @@ from phantomnode.pipeline.curve_pictures import (
     draw_history,
     draw_pressure,
     energies,
+    of_tip,
     unrolled,
 )
 from phantomnode.pipeline.drawing import readable
@@ -301,6 +302,25 @@ class TestPictures:
         assert len(times) > 1 and all(
             results.contact(time).of_pair(0, "pressure").max() > 0.0 for time in times
         )
+
+    def test_pictures_do_not_take_each_others_names(self, results, tmp_path):
+        options = {"times": ["peak"], "out": tmp_path}
+        files = [file.name for file, _ in plot_files(results, ["contact_pressure", "impulses"], **options)]
+        files += [file.name for file, _ in plot_files(results, ["contact_pressure"], ["end"], tmp_path)]
+        files += [
+            file.name for file, _ in plot_files(results, ["contact_pressure"], [], tmp_path, pair="landing")
+        ]
+        assert len({*files}) == 4 and "plot.contact_pressure.landing.png" in files
+        assert {file.name for file in tmp_path.iterdir()} == {*files}
+
+    def test_nothing_is_drawn_where_one_name_is_wrong(self, results, tmp_path):
+        with pytest.raises(CaseError, match="--what impuls: is no picture .did you mean 'impulses'"):
+            plot_files(results, ["J", "impuls"], [], tmp_path)
+        assert not any(tmp_path.iterdir())
+
+    def test_what_a_tip_bears_is_said_to_depend_on_the_cells(self):
+        assert "depends on the cells" in of_tip([np.zeros(9), np.eye(9)[4]])
+        assert of_tip([np.zeros(9)]) == "" == of_tip([np.eye(9)[4], np.ones(9)])
 
     def test_times_as_people_write_them(self):
         assert parse_time("4.5 ms") == pytest.approx(4.5e-3)

@@ -17,6 +17,7 @@ from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.fields import Fields
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.preflight import steps_of, text_report
+from phantomnode.pipeline.results import open_results
 from phantomnode.pipeline.run import check, run
 from phantomnode.pipeline.summary import Clock, summarize
 from phantomnode.pipeline.tally import Tally, crossing_time
@@ -81,8 +82,10 @@ def test_momentum_balance(handmade, frame_of, impulse, error):
     # Sums of nine masses: rounding only.
     assert tally.momentum(block).error == pytest.approx(error, abs=1e-14)
     np.testing.assert_allclose(tally.momentum(floor).impulse, [0.0, -impulse * mass])
-    # The floor is held in y; along x nothing happens.
+    # The floor is held in y; along x nothing happens. It stays at rest: what holds it gives back what it gets.
     assert tally.momentum(floor).error == 0.0
+    np.testing.assert_allclose(tally.momentum(floor).reaction, [0.0, impulse * mass])
+    np.testing.assert_array_equal(tally.momentum(block).reaction, 0.0)
 
 
 def test_gravity_belongs_to_the_balance(handmade, frame_of):
@@ -110,7 +113,7 @@ def test_limits_that_are_not_kept_are_named(handmade, frame_of, tmp_path):
     assert failed == {"energy error", "penetration over cell size"}
 
 
-def test_run_writes_everything(prepared, tmp_path):
+def test_run_writes_everything(prepared, handmade, tmp_path):
     out = tmp_path / "results"
     screen = Console(file=io.StringIO(), width=100)
     summary = run(prepared.case, out, console=screen, command=("phantomnode", "run", "a b"))
@@ -127,6 +130,18 @@ def test_run_writes_everything(prepared, tmp_path):
     assert all(meshio.read(path).points.size for path in (out / "fields").iterdir())
     assert figures["momentum"]["block"]["error"] < 1e-3
     assert figures["peak_contact_force"]["landing"] > 0.0
+    # The second way: a row of the history a step, by the trapezoid rule; the force of a row belongs to the half step
+    # before it, so that the last half step of it is missed.
+    history = open_results(out).history
+    force = np.column_stack([history[f"reaction.base.f{axis}"] for axis in "xy"])
+    missed = 0.5 * handmade.dt * np.abs(force).max()
+    given = np.trapezoid(force, history.time, axis=0)
+    np.testing.assert_allclose(figures["momentum"]["floor"]["reaction"], given, atol=1.01 * missed)
+    assert np.abs(given).max() > 5.0 * missed
+    stresses = [open_results(out).frame(float(time)) for time in open_results(out).times]
+    for number, name in enumerate(("block", "floor")):
+        highest = max(f.values("von_mises")[f.cell("body") == number].max() for f in stresses)
+        assert figures["highest_von_mises"][name] == highest > 0.0
     assert len(figures["contact_phases"]["landing"]) >= 1
     log = (out / "run.log").read_text()
     assert "phantomnode run 'a b'" in log and "a warning [with brackets]" in log and "status: done" in log

@@ -81,6 +81,8 @@
       view.place = place;
       for (const name of ["points", "reference", "quads", "triangles", "outline"]) view[name] = await unpack(data[name]);
       view.rigid = data.obstacles ? await unpack(data.obstacles) : null;
+      view.solid = {};
+      for (const name of ["points", "triangles", "segments"]) view.solid[name] = data.solid && (await unpack(data.solid[name]));
       view.values = await Promise.all(data.fields.map((field) => unpack(field.values)));
       view.count = view.reference.length / 2;
       view.cells = view.quads.length / 4 + view.triangles.length / 3;
@@ -153,9 +155,24 @@
       const ends = Uint32Array.from({ length: 2 * this.rigidCount }, (_, k) => k);
       this.obstacles = this.add(null, View.lines(ends), { colour: [0.35, 0.35, 0.35], depth: 1e-6 });
       this.obstacles.actor.getProperty().setLineWidth(3);
+      this.inside = this.add(View.polys([], this.solid.triangles), null, { colour: [0.86, 0.86, 0.86], depth: -2e-6 });
+    }
+
+    // Obstacles move without turning: a point of a solid side goes with the start of a segment of it.
+    showSolid(frame) {
+      const { points, segments } = this.solid;
+      const from = 4 * this.rigidCount * frame;
+      const xyz = new Float32Array(3 * segments.length);
+      segments.forEach((segment, k) => {
+        for (let axis = 0; axis < 2; axis++)
+          xyz[3 * k + axis] = points[2 * k + axis] + this.rigid[from + 4 * segment + axis] - this.rigid[4 * segment + axis];
+        xyz[3 * k + 2] = this.inside.depth;
+      });
+      this.move(this.inside, xyz);
     }
 
     showObstacles(frame) {
+      this.showSolid(frame);
       const points = 2 * this.rigidCount;
       const xyz = new Float32Array(3 * points);
       for (let k = 0; k < points; k++) {
