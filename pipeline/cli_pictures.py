@@ -24,6 +24,15 @@ Zoom = Annotated[
     Parameter(negative=(), help="What is shown: lower left and upper right corner, x0 y0 x1 y1 in m."),
 ]
 
+Smooth = Annotated[
+    bool,
+    Parameter(
+        negative=(),
+        show_default=False,
+        help="Draw fields as means over neighbouring cells, which reads better in thin walls; peaks are lower.",
+    ),
+]
+
 
 def plot(
     folder: Folder,
@@ -60,6 +69,7 @@ def plot(
     pair: Annotated[str | None, Parameter(help="The contact pair; the first unless given.")] = None,
     range_: Limits = None,
     zoom: Zoom = None,
+    smooth: Smooth = False,
     talk: Talk = TALK,
 ) -> int:
     """Draw pictures of a run: fields, contact pressure, histories, level sets, nodes.
@@ -79,7 +89,9 @@ def plot(
         from phantomnode.pipeline.results import open_results
 
         times = [parse_time(text) for text in time]
-        written = plot_files(open_results(folder), what, times, out, pair=pair, limits=range_, box=zoom)
+        written = plot_files(
+            open_results(folder), what, times, out, pair=pair, limits=range_, box=zoom, smooth=smooth
+        )
         for path, note in written:
             if note:
                 console.print(note, soft_wrap=True, highlight=False, markup=False)
@@ -104,6 +116,7 @@ def animate(
     width: Annotated[int, Parameter(help="Of the film, in pixels.")] = 800,
     range_: Limits = None,
     zoom: Zoom = None,
+    smooth: Smooth = False,
     talk: Talk = TALK,
 ) -> int:
     """Make a film of a field over all frames of a run, as GIF or MP4.
@@ -121,7 +134,15 @@ def animate(
         from phantomnode.pipeline.results import open_results
 
         film = write_film(
-            open_results(folder), what, out, fps=fps, width=width, limits=range_, box=zoom, console=console
+            open_results(folder),
+            what,
+            out,
+            fps=fps,
+            width=width,
+            limits=range_,
+            box=zoom,
+            smooth=smooth,
+            console=console,
         )
         console.print(f"film      {film}", soft_wrap=True, highlight=False, markup=False)
         return DONE

@@ -90,6 +90,12 @@ def with_obstacles(box: Floats, obstacles: Floats) -> Floats:
     return box_of(np.concatenate([box, near]))
 
 
+def coloured(frame: FieldsFrame, what: Quantity, smooth: bool) -> Floats:
+    """(m,) The values that the colours of cells show, SI: their own, or means over neighbouring cells."""
+    values = what.values(frame)
+    return frame.smoothed(values) if smooth else values
+
+
 class FieldPicture:
     """A field on the bodies; :meth:`show` goes on to another frame.
 
@@ -106,6 +112,8 @@ class FieldPicture:
         Lower left and upper right corner of what is shown; all of the bodies, then and now, unless given.
     outlines : bool
         Draw the undeformed outline.
+    smooth : bool
+        Means over neighbouring cells, in place of the values of the cells.
 
     Attributes
     ----------
@@ -121,10 +129,11 @@ class FieldPicture:
         limits: Limits | None = None,
         box: Floats | None = None,
         outlines: bool = True,
+        smooth: bool = False,
         width: float = 9.0,
     ) -> None:
-        self._what, self._title = quantity(name), title
-        values = self._what.values(frame)
+        self._what, self._title, self._smooth = quantity(name), title, smooth
+        values = coloured(frame, self._what, smooth)
         limits = _visible(limits or limits_of(values, self._what))
         self._factor, unit = readable(np.array(limits), self._what.unit)
         box = view_box(frame) if box is None else box
@@ -140,7 +149,7 @@ class FieldPicture:
         self._solid_width = SOLID * float(np.max(box[1] - box[0]))
         self._solid = solid(axes, frame.obstacles, self._solid_width)
         self._obstacles = lines(axes, frame.obstacles, color="0.35", linewidths=1.8)
-        label = f"{self._what.label}, {unit}" if unit else self._what.label
+        label = f"{self._what.label}{', smoothed' if smooth else ''}{', ' if unit else ''}{unit}"
         self.figure.colorbar(self._cells[0], ax=axes, label=label, shrink=0.8, extend=_extend(values, limits))
         axes.set(xlim=box[:, 0], ylim=box[:, 1])
         self._axes = axes
@@ -149,7 +158,7 @@ class FieldPicture:
     def show(self, frame: FieldsFrame) -> None:
         """Draw another frame of the same bodies in its place."""
         for cells, (shapes, part) in zip(
-            self._cells, self._shapes(frame, self._what.values(frame)), strict=True
+            self._cells, self._shapes(frame, coloured(frame, self._what, self._smooth)), strict=True
         ):
             cells.set_verts(shapes)
             cells.set_array(part)

@@ -12,7 +12,7 @@ import numpy as np
 
 from phantomnode.pipeline.drawing import DPI
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.field_pictures import FieldPicture, joint_limits, limits_of, view_box
+from phantomnode.pipeline.field_pictures import FieldPicture, coloured, joint_limits, limits_of, view_box
 from phantomnode.pipeline.frames import FieldsFrame
 from phantomnode.pipeline.plot import box_from, limits_from
 from phantomnode.pipeline.quantities import quantity
@@ -35,6 +35,7 @@ def write_film(
     width: int = 800,
     limits: tuple[float, float] | None = None,
     box: Sequence[float] | None = None,
+    smooth: bool = False,
     console: Console | None = None,
 ) -> Path:
     """Write a film; colours and axes are the same in all its frames.
@@ -53,6 +54,8 @@ def write_film(
     limits : (float, float), SI, optional
         Of the colours; those of all frames unless given.
     box : (x0, y0, x1, y1), m, optional
+    smooth : bool
+        Means over neighbouring cells.
     console : rich Console, optional
         Where to show the progress, if it is a terminal.
 
@@ -75,10 +78,10 @@ def write_film(
     if not frames:
         raise CaseError(f"{results.path}: no frame is written yet")
     if span is None:
-        span = joint_limits([limits_of(field.values(frame), field) for frame in frames], field)
+        span = joint_limits([limits_of(coloured(frame, field, smooth), field) for frame in frames], field)
     if corners is None:
         corners = view_box(*frames)
-    picture = FieldPicture(frames[0], what, results.title, limits=span, box=corners)
+    picture = FieldPicture(frames[0], what, results.title, limits=span, box=corners, smooth=smooth)
     _even(picture, width)
     picture.figure.canvas.draw()
     picture.figure.set_layout_engine("none")  # as it is now, in all frames

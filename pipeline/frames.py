@@ -88,6 +88,19 @@ class FieldsFrame:
         """(m,) Means over the corners of each cell, from (p,) values at the points."""
         return np.concatenate([values[self.quads].mean(axis=1), values[self.triangles].mean(axis=1)])
 
+    def smoothed(self, values: Floats) -> Floats:
+        """(m,) Values of the cells, each the mean over its corners of the means, by area, of the cells about these.
+
+        Across outlines and open interfaces nothing is mixed: there cells have no corner in common.
+        """
+        nodes = np.concatenate([self.quads.reshape(-1), self.triangles.reshape(-1)])
+        area = np.concatenate([_areas(self.points[cells]) for cells in (self.quads, self.triangles)])
+        corners = np.repeat([4, 3], [len(self.quads), len(self.triangles)])
+        weight, weighted = np.repeat(area, corners), np.repeat(area * values, corners)
+        about = np.bincount(nodes, weight, len(self.points))
+        mean = np.bincount(nodes, weighted, len(self.points)) / np.where(about > 0.0, about, 1.0)
+        return self.means(mean)
+
     def values(self, name: str) -> Floats:
         """(m,) A field of each cell, SI; vectors as the mean over the corners.
 
@@ -103,6 +116,13 @@ class FieldsFrame:
             Naming the fields that there are.
         """
         return quantity(name).values(self)
+
+
+def _areas(corners: Floats) -> Floats:
+    """(m,) Areas of the (m, k, 2) corners of polygons, not below zero."""
+    x, y = corners[..., 0], corners[..., 1]
+    twice = np.sum(x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y, axis=1)
+    return np.asarray(np.maximum(0.5 * twice, 0.0))
 
 
 @dataclass(frozen=True)

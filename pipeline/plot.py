@@ -36,6 +36,7 @@ def picture(
     pair: str | None = None,
     limits: tuple[float, float] | None = None,
     box: Sequence[float] | None = None,
+    smooth: bool = False,
 ) -> Figure:
     """One picture of a run; of fields at the first of the times.
 
@@ -51,6 +52,8 @@ def picture(
         Of the colours of a field.
     box : (x0, y0, x1, y1), m, optional
         What is shown of the bodies.
+    smooth : bool
+        Draw fields as means over neighbouring cells.
 
     Raises
     ------
@@ -59,7 +62,9 @@ def picture(
     """
     corners, span = box_from(box), limits_from(limits)
     if what in QUANTITIES:
-        return draw_field(results.frame(times[0]), what, results.title, limits=span, box=corners)
+        return draw_field(
+            results.frame(times[0]), what, results.title, limits=span, box=corners, smooth=smooth
+        )
     if what == PRESSURE:
         if not results.pairs:
             raise CaseError(f"{results.path}: the case has no contact pair")
@@ -122,6 +127,7 @@ def plot_files(
     pair: str | None = None,
     limits: tuple[float, float] | None = None,
     box: Sequence[float] | None = None,
+    smooth: bool = False,
 ) -> list[tuple[Path, str]]:
     """Write pictures of a run.
 
@@ -157,7 +163,7 @@ def plot_files(
             *(_time_named(results, time) for time in named),
         ]
         path = _path_of(results, parts, out, number, len(wanted))
-        figure = picture(results, one, at, pair=pair, limits=limits, box=box)
+        figure = picture(results, one, at, pair=pair, limits=limits, box=box, smooth=smooth)
         path.parent.mkdir(parents=True, exist_ok=True)
         save(figure, path)
         timed = one in QUANTITIES or one == PRESSURE

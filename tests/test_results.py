@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import defaultdict
 
 import numpy as np
 import pytest
@@ -317,6 +318,21 @@ class TestPictures:
         with pytest.raises(CaseError, match="--what impuls: is no picture .did you mean 'impulses'"):
             plot_files(results, ["J", "impuls"], [], tmp_path)
         assert not any(tmp_path.iterdir())
+
+    def test_smoothing_keeps_what_is_even_and_mixes_only_neighbours(self, results, peak):
+        """The second way: a loop over the cells about each corner."""
+        cells = [*peak.quads, *peak.triangles]
+        np.testing.assert_allclose(peak.smoothed(np.full(len(cells), 3.0)), 3.0, rtol=1e-14)
+        area = [shapely.Polygon(peak.points[cell]).area for cell in cells]
+        values, about = peak.values("von_mises"), defaultdict(list)
+        for number, cell in enumerate(cells):
+            for corner in cell:
+                about[corner].append(number)
+        for number in (0, len(peak.quads) - 1, len(cells) - 1):
+            means = [np.average(values[about[c]], weights=np.take(area, about[c])) for c in cells[number]]
+            assert peak.smoothed(values)[number] == pytest.approx(np.mean(means), rel=1e-9)
+        bars = [axes.get_ylabel() for axes in picture(results, "von_mises", smooth=True).axes]
+        assert any("smoothed" in label for label in bars)
 
     def test_what_a_tip_bears_is_said_to_depend_on_the_cells(self):
         assert "depends on the cells" in of_tip([np.zeros(9), np.eye(9)[4]])
