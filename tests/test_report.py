@@ -14,7 +14,7 @@ import sys
 
 import numpy as np
 import pytest
-from small_run import small_run
+from small_run import TABLE, small_run
 
 from phantomnode import open_results
 from phantomnode.pipeline.cases_page import asked_of, compared_cases
@@ -378,6 +378,28 @@ class TestInABrowser:
         page.mouse.wheel(0, -300)
         page.wait_for_timeout(300)
         assert opened.complaints == []
+
+    def test_the_view_shows_where_a_moving_obstacle_is_solid(self, browser, tmp_path):
+        """A wedge under the disc, grey within its outline, goes down by 4.8 mm, in a view of some 60 mm."""
+        wedge = {"polygon": {"points": [[-0.01, -0.02], [0.01, -0.02], [0.0, -0.001]]}}
+        pair = {"slave": "disc.outer", "master": "wedge"}
+        table = {
+            **TABLE,
+            "body": {"disc": TABLE["body"]["disc"]},
+            "boundary": {},
+            "contact": {"landing": pair},
+        }
+        table["rigid"] = {"wedge": {"geometry": wedge, "displacement": {"y": "-4*t"}}}
+        folder = small_run(tmp_path / "wedge", table)
+        (page,) = write_report([folder], folder)
+        opened, rows = Opened(browser, page, WIDE), []
+        for frame in (0, 6):
+            opened.page.evaluate(f"const t = document.getElementById('time'); t.value = {frame}; t.oninput()")
+            grey = np.all(np.abs(opened.pixels("#canvas").astype(int) - 219) <= 2, axis=-1)
+            assert grey.mean() > 0.005
+            rows.append(np.flatnonzero(grey.mean(axis=1) > 0.02)[0] / len(grey))
+        assert 0.06 < rows[1] - rows[0] < 0.11
+        assert opened.quiet(), (opened.complaints, opened.requests)
 
     def test_a_batch_page_draws_every_output(self, browser, batch):
         (page,) = write_report([batch], batch)
