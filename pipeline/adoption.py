@@ -64,6 +64,11 @@ BETWEEN = """
 # master = "{other}.outer"
 """
 
+FAR_APART = """\
+# The regions lie far above each other: most of the time is fall. Take one of them (leave out the other bodies with
+# their contacts), or bring them down: geometry = { ..., move = [0.0, -0.1] }, in m.
+"""
+
 OUTPUT = """
 [output]
 fields = { count = 40 }                     # pictures for ParaView: open fields.pvd
@@ -78,6 +83,9 @@ WAVE = 5900.0
 
 WAVES = 8.0
 """Ways of a wave across the part that a run takes after the fall."""
+
+LONG = 4.0
+"""Times as long as the waves take: a fall that is most of a run."""
 
 MOST_BODIES = 8
 """Regions that become bodies, the largest first."""
@@ -158,15 +166,18 @@ def _case(folder: Path, file: str, geometry: Geometry, wanted: Mapping[str, Any]
     gap = 0.5 * min(cells)
     fall = max(float(box[0, 1] - low[1]) for box in boxes) + gap
     waves = WAVES * float(np.max(high - low)) / WAVE
-    end = _rounded(fall / SPEED + waves)
+    end = _rounded_up(fall / SPEED + waves)
     options = f'file = "{file}", unit = "{geometry.unit}"' + "".join(
         f", {key} = {_value(chosen)}" for key, chosen in wanted.items() if chosen
     )
     several = len(order) > 1
+    remarks = _remarks(geometry, len(order))
+    if fall / SPEED > LONG * waves:
+        remarks += FAR_APART
     parts = [
         HEAD.format(
             what=f"{len(order)} regions" if several else "The outline", falls="fall" if several else "falls",
-            file=file, folder=folder, end=end, remarks=_remarks(geometry, len(order)),
+            file=file, folder=folder, end=end, remarks=remarks,
             fall=f"{1e3 * fall / SPEED:.2g}", waves=f"{1e3 * waves:.2g}",
         )
     ]  # fmt: skip
@@ -252,6 +263,12 @@ def _rounded_down(value: float) -> float:
     """The value to two digits, no more than it is."""
     rounded, last = _rounded(value), 10.0 ** (np.floor(np.log10(value)) - 1.0)
     return _rounded(rounded - last) if rounded > value * (1.0 + 1e-9) else rounded
+
+
+def _rounded_up(value: float) -> float:
+    """The value to two digits, no less than it is."""
+    rounded, last = _rounded(value), 10.0 ** (np.floor(np.log10(value)) - 1.0)
+    return _rounded(rounded + last) if rounded < value * (1.0 - 1e-9) else rounded
 
 
 def _rounded(value: float) -> float:

@@ -16,6 +16,7 @@ from phantomnode.pipeline.bodies import cut_body
 from phantomnode.pipeline.case import load_case
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.gaps import initial_gaps, meeting_time
 from phantomnode.pipeline.prepare import prepare
 
 
@@ -122,6 +123,26 @@ def test_a_case_for_a_drawing_has_its_names_and_can_be_cut(
         # Arcs are cut by straight lines within a cell of a quarter of the radius: h^2/(6 R^2) of the circle is lost.
         assert mesh.area.sum() == pytest.approx(1e-6 * area, rel=1.1e-2)
     assert cli_files.new("mine", from_=file) == console.INPUT_AT_FAULT  # is left as it is
+
+
+def test_regions_far_above_each_other_are_remarked_and_all_of_them_land(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The end is rounded up: every pair meets before it, however long the fall of the highest region is."""
+    monkeypatch.chdir(tmp_path)
+
+    def column(space: Any) -> None:
+        for height in (0, 30, 171):
+            space.add_lwpolyline([(0, height), (20, height), (20, height + 20), (0, height + 20)], close=True)
+
+    assert cli_files.new("high", from_=drawing(tmp_path / "c.dxf", column)) == console.DONE
+    assert "The regions lie far above each other" in (tmp_path / "high" / "case.toml").read_text()
+    prepared = prepare(load_case("high", ()))
+    gaps = initial_gaps(prepared)
+    meets = [meeting_time(prepared, number, gap) for number, gap in enumerate(gaps) if gap is not None]
+    assert len(meets) == 3 and 0.017 < max(meets) < prepared.case.time.end
+    assert cli_files.new("side", from_=drawing(tmp_path / "t.dxf", two_parts)) == console.DONE
+    assert "far above" not in (tmp_path / "side" / "case.toml").read_text()
 
 
 def test_a_case_takes_layers_and_unit_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
