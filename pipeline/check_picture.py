@@ -89,7 +89,12 @@ def draw_preview(prepared: Prepared, path: Path) -> None:
     _draw_boundaries(axes, prepared)
     for number, spot in enumerate(spots):
         marks(axes, spot.place[None], "*", SPOT, 9.0, "")
-        style: dict[str, Any] = {"textcoords": "offset points", "color": SPOT, "fontweight": "bold"}
+        style: dict[str, Any] = {
+            "textcoords": "offset points",
+            "color": SPOT,
+            "fontweight": "bold",
+            "zorder": 7,
+        }
         axes.annotate("ab"[number], _pair(spot.place), (5, 5 - 17 * number), **style)
         panel = figure.add_subplot(grid[number, 1])
         equal_axes(panel, box)

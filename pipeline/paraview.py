@@ -16,7 +16,7 @@ from phantomnode.pipeline.results import Results
 
 SCRIPT = "in_paraview.py"
 LOOKED_AT = 9
-"""Frames, evenly spread over the run, from which the ranges of the colours are taken."""
+"""Frames, evenly spread over the run, from which the range of the stress is taken, with that of most energy."""
 
 HIGHEST = 0.998
 """The part of the cells whose stress the colours span: one point under contact does not darken the rest."""
@@ -64,19 +64,20 @@ def write_script(results: Results) -> Path:
 
 
 def view_of(results: Results) -> View:
-    """Ranges and box over the run, and the time of the largest stress, from some of its frames."""
+    """Ranges and box over the run, and the time of the largest stress; of the bodies from some of the frames."""
     times = results.times
     results.nearest("start")  # refuses a run without frames
-    some = np.unique(np.linspace(0, len(times) - 1, min(LOOKED_AT, len(times))).astype(np.int64))
+    spread = np.linspace(0, len(times) - 1, min(LOOKED_AT, len(times))).astype(np.int64)
+    some = np.unique([*spread, results.nearest("peak")])
     stress, pressure, boxes = [], [0.0], []
     for time in times[some]:
         frame = results.frame(float(time))
         stress.append(float(np.quantile(frame.cell("von_mises"), HIGHEST)))
         boxes.append((frame.points.min(axis=0), frame.points.max(axis=0)))
-        if results.pairs:
-            contact = results.contact(float(time))
-            boxes.append((contact.ends.min(axis=(0, 1)), contact.ends.max(axis=(0, 1))))
-            pressure.append(float(np.max(contact.cell_data["pressure"], initial=0.0)))
+    for time in times if results.pairs else ():  # small files; the largest pressure may be that of one frame
+        contact = results.contact(float(time))
+        boxes.append((contact.ends.min(axis=(0, 1)), contact.ends.max(axis=(0, 1))))
+        pressure.append(float(np.max(contact.cell_data["pressure"], initial=0.0)))
     low, high = np.min([a for a, _ in boxes], axis=0), np.max([b for _, b in boxes], axis=0)
     return View(
         max(stress) or 1.0, max(pressure) or 1.0, float(times[some[int(np.argmax(stress))]]),

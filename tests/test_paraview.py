@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phantomnode.pipeline import cli
+from phantomnode.pipeline import cli, paraview
 from phantomnode.pipeline.case import bundled_cases, load_case
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.paraview import SCRIPT, open_paraview, view_of, write_script
@@ -150,7 +150,7 @@ def test_without_h5py_there_is_advice(ring: Results, monkeypatch) -> None:
         write_vtkhdf(ring)
 
 
-def test_the_script_holds_the_ranges_of_the_run(ring: Results) -> None:
+def test_the_script_holds_the_ranges_of_the_run(ring: Results, monkeypatch) -> None:
     results = ring
     assert cli.app(["paraview", str(results.path)], result_action="return_value") == 0
     tree = ast.parse((results.path / SCRIPT).read_text(encoding="utf-8"))
@@ -171,6 +171,8 @@ def test_the_script_holds_the_ranges_of_the_run(ring: Results) -> None:
         held["LOW"][0] <= 0.0 and held["HIGH"][0] >= 1.0 and held["HIGH"][1] == pytest.approx(1.32, abs=0.05)
     )
     assert Path(held["FOLDER"]) == results.path.resolve() and held["CONTACT"] is True
+    monkeypatch.setattr(paraview, "LOOKED_AT", 1)
+    assert view_of(results).pressure == view.pressure  # also where few frames are looked at for the stress
 
 
 def test_where_paraview_is_missing_or_has_no_screen_it_says_so(tmp_path: Path, monkeypatch) -> None:
