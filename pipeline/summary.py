@@ -139,6 +139,10 @@ def summarize(
     if last is not None:
         checks = run_checks(prepared, tally)
         figures |= outcome(prepared, tally)
+        closing = [pair.name for k, pair in enumerate(prepared.pairs) if tally.still_closing(k)]
+        figures["still_closing"] = (
+            closing if ending.status == "done" else []
+        )  # else it ended for another reason
         named = [(body.name, one) for body, one in zip(prepared.bodies, highest, strict=False)]
         figures["highest_von_mises"] = {name: one.stress for name, one in named}
         figures["highest_von_mises_at"] = {
@@ -170,7 +174,6 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
         "peak_contact_force": {name: float(last.pair_peak[k]) for k, name in pairs},
         "slave": {pair.name: pair.slave for pair in prepared.pairs},
         "contact_impulse": {name: last.pair_impulse[k] for k, name in pairs},
-        "still_closing": [name for k, name in pairs if tally.still_closing(k)],
         "penalty": {pair.name: pair_penalty(prepared, pair) for pair in prepared.pairs},
         "obstacles": {rigid.name: placed(rigid) for rigid in prepared.rigids},
         "contact_phases": {name: tally.phases(k) for k, name in pairs},

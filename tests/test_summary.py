@@ -5,6 +5,7 @@ import io
 import json
 import os
 import signal
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -295,3 +296,6 @@ def test_whether_bodies_still_close_at_the_end(handmade, frame_of, block, floor,
     assert not tally.still_closing(0)  # nothing has touched
     tally.frame(frame_of(1, u=0.0 * v, v=v, pair_impulse=np.array([[0.0, 3.0]])))
     assert tally.still_closing(0) is closing
+    for status, named in (("done", ["landing"] if closing else []), ("stopped", [])):
+        summary = summarize(handmade, tally, Ending(status, "r", "a", None), Clock(1.0, 1.0), Path())
+        assert summary.figures["still_closing"] == named  # a run that was stopped is told what to do for that
