@@ -1,9 +1,10 @@
-"""Sharp corners of the surfaces of a contact pair as points of contact of their own.
+"""Sharp corners and narrow roundings of the surfaces of a contact pair as points of contact of their own.
 
 Slave points stand between the ends of the segments: a corner of the master sinks in between two of them before any
 is felt, and a corner of the slave goes a fifth of a cell deep before its nearest point touches. Corners are
 therefore points as well, those of either surface against the other. They are felt from a small depth on only: where
-surfaces lie flat on each other the other points bear all, so that a constant pressure stays constant.
+surfaces lie flat on each other the other points bear all, so that a constant pressure stays constant. To a slave of
+coarse cells a rounding of the master, or all of a pin, is such a corner: between two points a body could pass it.
 
 The tip of a wedge in a flat face is pushed back along the normal of the face, by its corner. A slave point that
 stands in the tip would be pushed out through a flank instead, aside: with a sharp tip twice as hard as back. For all
@@ -12,7 +13,6 @@ other points corners of the master are therefore cut off, .15 of a cell before t
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -34,24 +34,21 @@ from phantomnode.pipeline.pairing import (
 )
 from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.surfaces import Surface, closed_surface
+from phantomnode.pipeline.turning import sharp, sharp_or_narrow
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-SHARP = math.radians(20.0)
-"""A surface that turns by more at a vertex has a corner there: more than the pieces of an arc over a cell do."""
-
 
 WEIGHT = 0.07
 """Of a corner, in cells of the slave: a heavier one shortens the step where cells are cut small, a lighter one sinks
 in until other points meet the master beside it."""
 
 ALLOWED = 0.01
-"""Depth, in cells of the slave, up to which a corner feels nothing: what a pressure of E/20 takes at the automatic
-penalty, 5 E/h."""
+"""Depth, in the smaller cells of the two sides, up to which a corner feels nothing: what a pressure of E/20 takes at
+the automatic penalty, 5 E/h."""
 
 CUT_OFF = 0.15
-"""Of a cell of the slave: how far before a corner it is cut off on either side."""
+"""Of the smaller cell of the two sides: how far before a corner it is cut off on either side."""
 
 BESIDE = 0.9
 """Of the way from the end of a segment to its first slave point, which no cut reaches, so that flat faces of equal
@@ -77,23 +74,6 @@ class CornerPoints(NamedTuple):
     nodes: Ints
     shape: Floats
     place: Floats
-
-
-def sharp(ends: Floats, following: Ints) -> Ints:
-    """Numbers of the segments that end at a sharp corner which sticks out.
-
-    Parameters
-    ----------
-    ends : (s, 2, 2) float64, metres
-        Start and end of each segment, the material on its left.
-    following : (s,) int64
-        The segment that goes on from each, -1 where there is none.
-    """
-    along = ends[:, 1] - ends[:, 0]
-    here = np.flatnonzero(following >= 0)
-    (ax, ay), (bx, by) = along[here].T, along[following[here]].T
-    turn = np.arctan2(ax * by - ay * bx, ax * bx + ay * by)
-    return np.asarray(here[turn > SHARP])
 
 
 def with_corners(
@@ -122,42 +102,66 @@ def with_corners(
     penalties : (float, float), Pa/m
         The normal and the tangential one of the corners.
     """
-    body, main = cut[slave.body], passes[0]
-    cell, found = body.grid.typical_size, []
-    depth = cut_depth(cell, points)
-    for each, side in zip(passes, (master, slave), strict=False):
+    body, main, found = cut[slave.body], passes[0], []
+    cell = body.grid.typical_size
+    fine = min(cell, _cell(master, cut))
+    spacing = widest_gap(points) * cell if len(passes) == 1 else 0.0  # else the master has points, too
+    for each, side, depth in zip(
+        passes, (master, slave), (cut_depth(fine, points), cut_depth(cell, points)), strict=False
+    ):
         if isinstance(side, Rigid):
             xy, first = side.xy, side.nodes.start
         else:
             xy, first = cut[side.body].mesh.xy, first_node[side.body]
         found.append(replace(each, master=cut_off(each.master, xy[each.master.nodes - first], depth)))
     if isinstance(master, Rigid):
-        theirs, widest = rigid_corners(master), 0.0
+        theirs, widest = rigid_corners(master, spacing), 0.0
     else:
         other = cut[master.body]
         closed = closed_surface(other.mesh.segments, master.segments, NOBODY)
-        theirs, widest = body_corners(other, closed, first_node[master.body]), _widest(other, closed)
+        theirs = body_corners(other, closed, first_node[master.body], spacing)
+        widest = _widest(other, closed)
     if len(theirs.nodes):
         around = closed_surface(body.mesh.segments, slave.segments, NOBODY)
         surface = master_side(around, body, first_node[slave.body], points)
-        found.append(_one_pass(main, theirs, surface, cell, _widest(body, around), penalties, -1.0))
+        weight, around_one = WEIGHT * cell, MEETING * _widest(body, around)
+        found.append(_one_pass(main, theirs, surface, weight, around_one, penalties, -1.0, ALLOWED * fine))
     mine = body_corners(body, slave.segments, first_node[slave.body])
     if len(mine.nodes):
-        found.append(_one_pass(main, mine, main.master, cell, widest, penalties, 1.0))
+        weight = WEIGHT * cell
+        found.append(
+            _one_pass(main, mine, main.master, weight, MEETING * widest, penalties, 1.0, ALLOWED * cell)
+        )
     return found
 
 
-def rigid_corners(rigid: Rigid) -> CornerPoints:
-    """Those of an obstacle."""
-    at = rigid.segments[sharp(rigid.xy[rigid.segments], rigid.following), 1]
+def _cell(side: Surface | Rigid, cut: dict[str, CutBody]) -> float:
+    """Size of the cells of a surface, m; of an obstacle the length of its segments."""
+    if isinstance(side, Rigid):
+        return float(np.median(np.hypot(*np.diff(side.xy[side.segments], axis=1)[:, 0].T)))
+    return cut[side.body].grid.typical_size
+
+
+def widest_gap(points: SlavePoints) -> float:
+    """The widest gap between neighbouring slave points by a rule, in segments."""
+    at, _ = point_rule(points)
+    return float(np.max(np.diff([*at, 1.0 + at[0]])))
+
+
+def rigid_corners(rigid: Rigid, spacing: float = 0.0) -> CornerPoints:
+    """Those of an obstacle, for points of another surface that stand so far apart, m."""
+    at = rigid.segments[sharp_or_narrow(rigid.xy[rigid.segments], rigid.following, spacing), 1]
     nodes = np.repeat(at[:, None] + rigid.nodes.start, 4, axis=1)
     return CornerPoints(nodes, np.repeat(np.eye(4)[:1], len(at), axis=0), rigid.xy[at])
 
 
-def body_corners(body: CutBody, chosen: Ints, first_node: int) -> CornerPoints:
-    """Those at an end of any of the chosen segments of a body, by their numbers (s,) in ``mesh.segments``."""
+def body_corners(body: CutBody, chosen: Ints, first_node: int, spacing: float = 0.0) -> CornerPoints:
+    """Those at an end of any of the chosen segments of a body, by their numbers (s,) in ``mesh.segments``.
+
+    ``spacing`` as for :func:`rigid_corners`.
+    """
     mesh, segments = body.mesh, body.mesh.segments
-    at = sharp(segments.ends, segments.following)
+    at = sharp_or_narrow(segments.ends, segments.following, spacing)
     at = at[np.isin(at, chosen) | np.isin(segments.following[at], chosen)]
     nodes = mesh.nodes(segments.element[at]) + first_node
     return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1])
@@ -272,7 +276,7 @@ def _on_common_nodes(one: tuple[Ints, Floats], other: tuple[Ints, Floats]) -> Pi
 
 
 def cut_depth(cell: float, points: SlavePoints) -> float:
-    """How far before a corner it is cut off, m, for slave points by a rule on segments of about a cell."""
+    """How far before a corner it is cut off, m, for slave points by a rule on segments of about a cell, m."""
     return float(min(CUT_OFF, BESIDE * point_rule(points)[0][0]) * cell)
 
 
@@ -280,15 +284,20 @@ def _one_pass(
     main: ContactPass,
     corners: CornerPoints,
     surface: MasterSide,
-    cell: float,
-    widest: float,
+    full: float,
+    around: float,
     penalties: tuple[float, float],
     sign: float,
+    allowed: float,
 ) -> ContactPass:
-    """Corners against a surface, at the full penalty: no other points stand where they stand."""
-    one, other = cKDTree(corners.place).query_pairs(MEETING * widest, output_type="ndarray").T
+    """Corners against a surface, at the full penalty: no other points stand where they stand.
+
+    A corner that is alone weighs ``full``, m; those within ``around``, m, share it. They feel nothing up to the depth
+    ``allowed``, m.
+    """
+    one, other = cKDTree(corners.place).query_pairs(around, output_type="ndarray").T
     pairs, count = np.concatenate([one, other]), len(corners.place)
-    weight = np.asarray(WEIGHT * cell / (1.0 + np.bincount(pairs, minlength=count)), dtype=np.float64)
+    weight = np.asarray(full / (1.0 + np.bincount(pairs, minlength=count)), dtype=np.float64)
     gathered = weight + np.bincount(pairs, weight[np.concatenate([other, one])], count)
     return replace(
         main,
@@ -298,7 +307,7 @@ def _one_pass(
         tangential_penalty=penalties[1],
         sign=sign,
         crowd=float(np.max(gathered)),
-        allowed=ALLOWED * cell,
+        allowed=allowed,
     )
 
 

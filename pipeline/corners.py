@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.pipeline.corner_points import sharp
 from phantomnode.pipeline.gaps import master_ends
+from phantomnode.pipeline.turning import sharp
 
 if TYPE_CHECKING:
     from phantomnode.pipeline.prepare import Prepared

@@ -10,6 +10,9 @@ import shapely
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.prepare import Floats, Ints, Prepared
 
+ALONG = 1e-9
+"""Of the speed at which surfaces pass each other: what closes or opens less is rounding."""
+
 
 class Gap(NamedTuple):
     """How far the slave of a pair is from its master.
@@ -24,9 +27,10 @@ class Gap(NamedTuple):
 
 
 def meeting_time(prepared: Prepared, number: int, gap: Gap) -> float:
-    """When the surfaces of a pair meet, s, as they fly on at their first velocities; infinite where they do not.
+    """When the surfaces of a pair meet, s, as they fly on at their first velocities.
 
-    Along the shortest way between them; a prescribed motion counts by its first step.
+    Along the shortest way between them; a prescribed motion counts by its first step. Infinite where the way stays as
+    it is, negative where it grows.
     """
     velocity = prepared.velocity
     held = prepared.model.channel >= 0
@@ -37,9 +41,9 @@ def meeting_time(prepared: Prepared, number: int, gap: Gap) -> float:
     slave, master = (
         velocity[np.unique(nodes[first[k] : first[k + 1]])].mean(axis=0) for nodes, first in sides
     )
-    way = gap.master - gap.slave
-    closing = float((slave - master) @ way) / gap.distance if gap.distance > 0.0 else 0.0
-    return gap.distance / closing if closing > 0.0 else float("inf")
+    way, meets = gap.master - gap.slave, slave - master
+    closing = float(meets @ way) / gap.distance if gap.distance > 0.0 else 0.0
+    return gap.distance / closing if abs(closing) > ALONG * float(np.hypot(*meets)) else float("inf")
 
 
 def initial_gaps(prepared: Prepared) -> list[Gap | None]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.pipeline.census import Wall, areas, doubled_cells, pair_penalty, step_set_by, wall
+from phantomnode.pipeline.coarse import coarse_slaves
 from phantomnode.pipeline.drawing import moment
 from phantomnode.pipeline.gaps import Gap, initial_gaps, meeting_time
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
@@ -136,21 +137,28 @@ def report(prepared: Prepared) -> RenderableType:
     if prepared.boundaries:
         parts.append(_table(("boundary", "nodes", "holds"), _boundary_rows(prepared)))
     parts.append(_table(("run", ""), _run_rows(prepared)))
-    advice = (*prepared.warnings, *_thin_walls(prepared, walls), *_too_short(prepared, gaps))
+    advice = (
+        *prepared.warnings,
+        *_thin_walls(prepared, walls),
+        *coarse_slaves(prepared),
+        *_never_or_late(prepared, gaps),
+    )
     return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in advice))
 
 
 def _meets(prepared: Prepared, number: int, gap: Gap | None) -> float:
-    """When a pair meets by the first velocities, s; infinite where it does not, or is self contact."""
+    """When a pair meets by the first velocities, s; infinite where it keeps its gap, negative where it parts."""
     return np.inf if gap is None else meeting_time(prepared, number, gap)
 
 
-def _too_short(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[str]:
-    """A warning of each pair that would meet, by the first velocities, after the end of the run."""
+def _never_or_late(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[str]:
+    """A warning of each pair that, by the first velocities, moves apart or meets after the end of the run."""
     end = prepared.case.time.end
     for pair, (_, time) in zip(prepared.pairs, gaps, strict=True):
         if end < time < np.inf:
             yield f"contact {pair.name}: the two meet at {moment(time)}, after the end of the run, {moment(end)}"
+        elif time < 0.0:
+            yield f"contact {pair.name}: the two move apart at first, and nothing meets unless something turns them"
 
 
 def _thin_walls(prepared: Prepared, walls: list[Wall]) -> Iterator[str]:
@@ -211,7 +219,7 @@ def _pair_rows(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iter
         counts = str(len(pair.segment_nodes)), str(pair.points.stop - pair.points.start), str(corners)
         stiffness = f"{pair_penalty(prepared, pair):.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
         apart = "-" if gap is None else f"{gap.distance:.3g}"  # self contact has none
-        meets = moment(time) if np.isfinite(time) else "-"
+        meets = moment(time) if 0.0 <= time < np.inf else "-"
         yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart, meets
 
 

@@ -19,7 +19,7 @@ from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Prepared
 from phantomnode.pipeline.scaling import added_mass
-from phantomnode.pipeline.tally import Tally, small_elements
+from phantomnode.pipeline.tally import Tally, pair_bodies, small_elements
 from phantomnode.pipeline.trust import beyond_checks
 
 if TYPE_CHECKING:
@@ -35,6 +35,8 @@ SMALLEST_J = 0.1
 PENETRATION = 0.25
 """Of the cell size: penalties of 1..10 E/h, which are sound, give less up to pressures of E/4, and the search
 follows a point as deep as one cell."""
+COARSE = 1.5
+"""Times as large as those of the master: with such cells a body is better not the slave."""
 HOURGLASS = 0.1
 """Of the largest internal energy: the usual limit for one-point elements."""
 
@@ -222,11 +224,14 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         advice = "a body gains momentum that nothing gives it: please report the case"
         checks.append(_below("momentum error", max(errors), MOMENTUM_ERROR, advice))
     if prepared.pairs:
-        cells = [_slave_cell(prepared, k) for k in range(len(prepared.pairs))]
-        worst = int(np.argmax(tally.penetration / cells))
-        deepest = tally.penetration[worst] / cells[worst]
+        cells = np.array([_cells(prepared, k) for k in range(len(prepared.pairs))])  # of slave and master
+        worst = int(np.argmax(tally.penetration / cells.min(axis=1)))
+        deepest = tally.penetration[worst] / cells[worst].min()
         advice = "take a stiffer penalty"
-        if tally.corner_depth[worst] == tally.penetration[worst]:
+        if cells[worst, 0] > COARSE * cells[worst, 1]:
+            pair = prepared.pairs[worst]
+            advice = f"make {pair.master} the slave of {pair.name}: its cells are smaller; or passes = 2"
+        elif tally.corner_depth[worst] == tally.penetration[worst]:
             felt = bool(prepared.pairs[worst].corners)
             cure = "take a stiffer penalty or smaller cells" if felt else "leave out corners = false"
             advice = f"a sharp corner of the master sank in between two points of the slave: {cure}"
@@ -296,11 +301,13 @@ def _below(name: str, value: float, limit: float, advice: str) -> Check:
     return Check(name, value, limit, value <= limit, advice)
 
 
-def _slave_cell(prepared: Prepared, pair: int) -> float:
-    """Size of the median cell of the slave's body, m: the scale on which a penetration is small or not."""
-    from phantomnode.pipeline.tally import pair_bodies
+def _cells(prepared: Prepared, pair: int) -> tuple[float, float]:
+    """Sizes of the median cells of slave and master, m, on which a penetration is small or not.
 
-    return pair_bodies(prepared, pair)[0].grid.typical_size
+    An obstacle has none; that of the slave stands for it.
+    """
+    slave, master = pair_bodies(prepared, pair)
+    return slave.grid.typical_size, (master or slave).grid.typical_size
 
 
 def _plain(value: Any) -> Any:

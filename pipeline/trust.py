@@ -94,8 +94,8 @@ TOLD: dict[str, tuple[str, Callable[[float, float], str]]] = {
     "penetration over cell size": (
         "Penetration",
         lambda value, limit: (
-            f"Bodies in contact overlap by at most {percent(value)} of a cell (limit {percent(limit)}), at the "
-            "points of the slave and at sharp corners of the master."
+            f"Bodies in contact overlap by at most {percent(value)} of a cell, the smaller of the two sides (limit "
+            f"{percent(limit)}), at the points of the slave and at sharp corners of the master."
         ),
     ),
 }
