@@ -209,7 +209,7 @@ def test_when_surfaces_meet_by_their_first_velocities(speeds: tuple[float, float
         if (0.0 <= meets < np.inf)
         else "after the end"
     )
-    assert (late in " ".join(text_report(prepared).split())) == bool((0.0 <= meets < np.inf))
+    assert (late in " ".join(text_report(prepared).split())) == bool(0.0 <= meets < np.inf)
 
 
 def test_a_body_faster_than_its_waves_is_doubtful() -> None:
