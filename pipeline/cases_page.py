@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import tomllib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -27,6 +28,7 @@ from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.pages import Cell, Picture, Table, data_url, picture_in, render, titled
 from phantomnode.pipeline.results import open_results
 from phantomnode.pipeline.sweep import COPY
+from phantomnode.pipeline.trust import doubtful, open_end
 
 PAGE = "report.html"
 GALLERY, THUMBNAIL = 12, 560
@@ -35,6 +37,7 @@ SHOWN = (
     "contact_impulse.",
     "peak_contact_force.",
     "largest_penetration.",
+    "highest_von_mises.",
     "energy_error_max",
     "smallest_J",
     "wall_s",
@@ -46,8 +49,8 @@ class Compared(NamedTuple):
     """One run of a comparison.
 
     name: of the case; folder: of its results; status and reason: how it ended; inputs: by the names of the axes;
-    outputs: by their names, None where there is none; doubts: the checks that it did not keep, None where it has
-    none at all.
+    outputs: by their names, None where there is none; doubts: what wants a look, None where there are no checks; end:
+    in words, that it ends before contact does.
     """
 
     name: str
@@ -57,14 +60,19 @@ class Compared(NamedTuple):
     inputs: dict[str, Any]
     outputs: dict[str, float | None]
     doubts: tuple[str, ...] | None
+    end: str = ""
 
 
 class Asked(NamedTuple):
-    """What a sweep says of its page: its title, the outputs that it wants, units of axes and words for its plots."""
+    """What a sweep says of its page.
+
+    Its title; the outputs that it wants; units of axes; the keys that they set, in words; words for its plots.
+    """
 
     title: str = ""
     outputs: tuple[str, ...] = ()
     units: Mapping[str, str] = MappingProxyType({})
+    keys: Mapping[str, str] = MappingProxyType({})
     plots: Mapping[str, str] = MappingProxyType({})
 
 
@@ -82,12 +90,18 @@ def asked_of(batch: Path) -> Asked:
     return Asked(
         sweep.get("title") or batch.resolve().name,
         tuple(sweep.get("outputs", ())),
-        {name: unit_of_key(axis["key"] if "key" in axis else axis["keys"][0]) for name, axis in axes.items()},
+        {name: unit_of_key(_keys(axis)[0]) for name, axis in axes.items()},
+        {name: f" ({', '.join(_keys(axis))})" for name, axis in sweep.get("axis", {}).items()},
         {
             name: f"{in_words(plot['y'])} over {in_words(plot['x'])}"
             for name, plot in sweep.get("plot", {}).items()
         },
     )
+
+
+def _keys(axis: dict[str, Any]) -> list[str]:
+    """The keys of the case that an axis sets."""
+    return [axis["key"]] if "key" in axis else list(axis["keys"])
 
 
 def compared_cases(batch: Path) -> list[Compared]:
@@ -110,7 +124,7 @@ def compared_cases(batch: Path) -> list[Compared]:
             row["case"], batch / row["folder"], row["status"], row["reason"],
             {name: _value(row[name]) for name in axes},
             {name: _number(row[name]) for name in outputs},
-            _doubts(_summary(batch / row["folder"])),
+            *_judged(_summary(batch / row["folder"])),
         )
         for row in rows
     ]  # fmt: skip
@@ -129,7 +143,7 @@ def compared_runs(folders: dict[str, Path]) -> list[Compared]:
         results, summary = open_results(folder), _summary(folder)
         outputs = {one: output_of(summary, one) for one in known_outputs(results.case)}
         status, reason = summary.get("status", "not ended"), summary.get("reason", "")
-        runs.append(Compared(name, folder, status, reason, {"run": name}, outputs, _doubts(summary)))
+        runs.append(Compared(name, folder, status, reason, {"run": name}, outputs, *_judged(summary)))
     return runs
 
 
@@ -148,9 +162,8 @@ def cases_page(asked: Asked, cases: Sequence[Compared], home: Path, drawn: Seque
     """
     axes = list(cases[0].inputs)
     done = sum(case.status == DONE for case in cases)
-    doubtful = [case for case in cases if case.doubts]
-    varied = [f"{name}: {_listed([case.inputs[name] for case in cases])}" for name in axes if name != "run"]
-    lead = f"{len(doubtful)} of them kept not all of their checks." if doubtful else ""
+    look = [case for case in cases if case.doubts]
+    varied = [_varied(name, [case.inputs[name] for case in cases], asked) for name in axes if name != "run"]
     pictures = [
         *(picture_in(file, titled(file)) for file in drawn),
         *_plots(home, asked),
@@ -161,9 +174,9 @@ def cases_page(asked: Asked, cases: Sequence[Compared], home: Path, drawn: Seque
         "cases.html",
         {"comparison": _comparison(cases, asked), "overlay": laid},
         title=asked.title,
-        trusted=done == len(cases) and not doubtful,
+        trusted=done == len(cases) and not look,
         headline=f"{done} of {len(cases)} cases are done.",
-        lead=lead or ("All kept their checks." if done == len(cases) else ""),
+        lead=_lead(cases),
         axes=varied,
         comparison=done > 0,
         overlay_note=laid["note"] if laid else "",
@@ -175,6 +188,33 @@ def cases_page(asked: Asked, cases: Sequence[Compared], home: Path, drawn: Seque
     )
 
 
+def _varied(axis: str, values: Sequence[Any], asked: Asked) -> str:
+    """What an axis is set to, with its unit and key: "speed, m/s: -50, -100 (body.ring.initial_velocity.1)"."""
+    return f"{named(axis, asked.units.get(axis, ''))}: {_listed(values)}{asked.keys.get(axis, '')}"
+
+
+def _lead(cases: Sequence[Compared]) -> str:
+    """How many cases want a look, and how many end before contact does."""
+    look = sum(bool(case.doubts) for case in cases)
+    kept = ["All kept their checks."] if all(case.status == DONE for case in cases) else []
+    lead = [f"{_how_many(look, len(cases))} want a look."] if look else kept
+    ends = Counter(case.end for case in cases if case.end)
+    return " ".join([*lead, *(f"{_how_many(count, len(cases))}: {end}." for end, count in ends.items())])
+
+
+def _link(folder: Path, home: Path) -> str:
+    """From a page to the page of a case, or to its folder where it has none; "" where it is no folder below."""
+    if folder == home or not folder.is_relative_to(home):
+        return ""
+    below = folder.relative_to(home).as_posix()
+    return f"{below}/{PAGE}" if (folder / PAGE).is_file() else f"{below}/"
+
+
+def _how_many(count: int, of: int) -> str:
+    """The subject of a sentence: "All", "3 of them", "1 of them"."""
+    return "All" if count == of else f"{count} of them"
+
+
 def table_of(cases: Sequence[Compared], home: Path, asked: Asked = NOTHING_ASKED) -> Table:
     """The cases as rows: inputs, status, whether they can be trusted, outputs asked for and those that tell most."""
     axes = [name for name in cases[0].inputs if name != "run"]
@@ -183,11 +223,10 @@ def table_of(cases: Sequence[Compared], home: Path, asked: Asked = NOTHING_ASKED
     outputs += [name for name in there if name.startswith(SHOWN) and name not in outputs]
     rows = []
     for case in cases:
-        beside = case.folder != home and case.folder.is_relative_to(home) and (case.folder / PAGE).is_file()
-        name = Cell(case.name, "", f"{case.folder.relative_to(home).as_posix()}/{PAGE}" if beside else "")
+        name = Cell(case.name, "", _link(case.folder, home))
         row = [_cell(case.inputs[name]) for name in axes]
         row.append(Cell(case.status, "good" if case.status == DONE else "look"))
-        row.append(_checks(case.doubts))
+        row.append(_checks(case))
         row += [_cell(case.outputs.get(name)) for name in outputs]
         rows.append([*row, name] if axes else [name, *row])
     columns = [*(named(name, asked.units.get(name, "")) for name in axes), "status", "checks"]
@@ -195,11 +234,12 @@ def table_of(cases: Sequence[Compared], home: Path, asked: Asked = NOTHING_ASKED
     return Table([*columns, "case"] if axes else ["case", *columns], rows)
 
 
-def _checks(doubts: tuple[str, ...] | None) -> Cell:
-    """Which checks a run did not keep."""
-    if doubts is None:
+def _checks(case: Compared) -> Cell:
+    """What wants a look in a run, and whether it ends before contact does."""
+    if case.doubts is None:
         return Cell("")
-    return Cell(", ".join(doubts), "look") if doubts else Cell("kept", "good")
+    text = ", ".join(case.doubts) or "kept"
+    return Cell(f"{text}; {case.end}" if case.end else text, "look" if case.doubts else "good")
 
 
 def _comparison(cases: Sequence[Compared], asked: Asked) -> dict[str, Any]:
@@ -246,7 +286,9 @@ def _gallery(cases: Sequence[Compared]) -> list[Picture]:
             image.thumbnail((THUMBNAIL, 2 * THUMBNAIL))
             content = BytesIO()
             image.convert("RGB").quantize(192).save(content, format="png", optimize=True)
-        pictures.append(Picture(data_url(content.getvalue()), name))
+        pictures.append(
+            Picture(data_url(content.getvalue()), f"{name}: when most energy is stored, own colours")
+        )
     return pictures
 
 
@@ -259,10 +301,9 @@ def _summary(folder: Path) -> dict[str, Any]:
     return content
 
 
-def _doubts(summary: dict[str, Any]) -> tuple[str, ...] | None:
-    """The checks that a run did not keep; None where it has none."""
-    checks = summary.get("checks")
-    return tuple(check["name"] for check in checks if not check["passed"]) if checks else None
+def _judged(summary: dict[str, Any]) -> tuple[tuple[str, ...] | None, str]:
+    """What wants a look in a run, None where it has no checks; and whether it ends before contact does."""
+    return (doubtful(summary), open_end(summary)) if summary.get("checks") else (None, "")
 
 
 def _value(text: str) -> Any:

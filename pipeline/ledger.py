@@ -7,7 +7,7 @@ import io
 import json
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from phantomnode.pipeline.files import write_atomically
 from phantomnode.pipeline.one_case import DONE, INTERRUPTED, RUNNING, UNFINISHED, WAITING, Outcome, known
 from phantomnode.pipeline.outputs import CASE_COLUMNS, output_of, wall_time
 from phantomnode.pipeline.sweep import Study
+from phantomnode.pipeline.trust import doubtful, open_end
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -78,7 +79,8 @@ class Ledger:
         for name in self.study.sweep.axis:
             table.add_column(name, justify="right")
         for name in ("status", "wall, s", *self.study.shown):
-            table.add_column(name, justify="left" if name == "status" else "right", overflow="fold")
+            broken = name.replace(".", ".\n")  # else it may break within a word
+            table.add_column(broken, justify="left" if name == "status" else "right", overflow="fold")
         many = len(self.outcomes) > MOST_ROWS
         for point, outcome in zip(self.study.points, self.outcomes, strict=True):
             if many and outcome.status == DONE:
@@ -99,9 +101,10 @@ class Ledger:
         return _csv([point.name, folder, status, reason, point.hash, *inputs, *outputs])
 
 
-def _doubt(figures: Mapping[str, Any]) -> str:
-    """What stands behind the status of a case that did not keep all of its checks."""
-    return "" if all(check["passed"] for check in figures.get("checks", ())) else ", look at it"
+def _doubt(figures: dict[str, Any]) -> str:
+    """What stands behind the status of a case that wants a look, or that ends before contact does."""
+    look, end = "look at it" if doubtful(figures) else "", open_end(figures)
+    return "".join(f", {text}" for text in (look, end) if text)
 
 
 def _csv(cells: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from phantomnode.pipeline.packing import Packed
 from phantomnode.pipeline.page_charts import history_charts, pressure_charts
 from phantomnode.pipeline.pages import Picture, Table, picture_in, picture_of, render, titled
 from phantomnode.pipeline.results import Results
-from phantomnode.pipeline.trust import Finding, findings, trusted
+from phantomnode.pipeline.trust import Finding, contact_spans, findings, trusted
 from phantomnode.pipeline.view_data import view_data
 
 NO_PART = 1e-5
@@ -196,11 +196,9 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
     """Contact phases, forces, velocities and stresses."""
     for name, phases in figures.get("contact_phases", {}).items():
         peak, unit = readable(figures["peak_contact_force"][name], "N/m")
-        spans = ", ".join(f"{moment(start)} to {moment(end)}" for start, end in phases[:6])
-        more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
-        touched = f"touches {spans}{more}" if phases else "never touches"
         touches = len(figures["contact_touches"][name])
-        breaks = f", in {touches} touches: breaks in which no wave crosses the slave's body do not part them"
+        breaks = f" (in {touches} touches; breaks that end before a wave has crossed the slave's body do not count)"
+        touched = f"touches {contact_spans(figures, name)}" if phases else "never touches"
         yield f"{name} {touched}{breaks if touches > len(phases) else ''}."
         if phases:
             impulse, slave = figures["contact_impulse"][name], figures["slave"][name]
@@ -240,8 +238,9 @@ def _stresses(figures: dict[str, Any]) -> Iterator[str]:
         )
     if named:
         yield (
-            "Stresses are means of cells, as drawn, in the frames that are written. The law is elastic at any "
-            "stress: compare them with the yield stress of the material."
+            "Stresses are means of cells, as drawn, in the frames that are written. Under a tip, beside a notch or "
+            "where round bodies touch they grow with smaller cells: compare runs of two sizes. The law is elastic at "
+            "any stress: compare them with the yield stress of the material."
         )
 
 

@@ -20,7 +20,7 @@ from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Prepared
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.tally import Tally, pair_bodies, small_elements
-from phantomnode.pipeline.trust import beyond_checks
+from phantomnode.pipeline.trust import beyond_checks, contact_spans
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -142,9 +142,9 @@ def summarize(
         checks = run_checks(prepared, tally)
         figures |= outcome(prepared, tally)
         closing = [pair.name for k, pair in enumerate(prepared.pairs) if tally.still_closing(k)]
-        figures["still_closing"] = (
-            closing if ending.status == "done" else []
-        )  # else it ended for another reason
+        # One that was stopped is told what to do for that.
+        figures["still_closing"] = closing if ending.status == "done" else []
+        figures["bearing_at_end"] = [pair.name for k, pair in enumerate(prepared.pairs) if tally.bearing(k)]
         named = [(body.name, one) for body, one in zip(prepared.bodies, highest, strict=False)]
         figures["highest_von_mises"] = {name: one.stress for name, one in named}
         figures["highest_von_mises_at"] = {
@@ -269,10 +269,8 @@ def highlights(figures: dict[str, Any]) -> list[str]:
     """What came out of a run in a few lines of text."""
     lines = []
     for name, phases in figures.get("contact_phases", {}).items():
-        spans = ", ".join(f"{moment(phase.start)} to {moment(phase.end)}" for phase in phases[:6])
-        more = f" and {len(phases) - 6} more" if len(phases) > 6 else ""
         word = "phase" if len(phases) == 1 else "phases"
-        lines.append(f"contact   {name}: {len(phases)} {word} {spans}{more}".rstrip())
+        lines.append(f"contact   {name}: {len(phases)} {word} {contact_spans(figures, name)}".rstrip())
         if phases:
             x, y = figures["contact_impulse"][name]
             lines.append(f"          impulse on {figures['slave'][name]} ({x:.4g}, {y:.4g}) N s/m")

@@ -169,6 +169,11 @@ class Tally:
             np.hypot(*self.last.pair_impulse[pair])
         )
 
+    def bearing(self, pair: int) -> bool:
+        """Whether a pair bears a force in the last sample."""
+        touches = self.touches(pair)
+        return bool(touches) and touches[-1].end == self._times[-1]
+
     def touches(self, pair: int) -> list[Phase]:
         """Every time in which a pair bore a force, in order, as far as the samples show."""
         if not self._times:

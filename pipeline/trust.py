@@ -18,6 +18,10 @@ CELLS_ADVISED, THROUGH_WALL = 4, 2.0
 them the one point of an element sees no bending, which hourglass control alone resists."""
 
 
+SPANS = 6
+"""Phases of contact that are told one by one."""
+
+
 class Finding(NamedTuple):
     """One answer: whether it is as it should be, what was looked at, and the answer with its numbers."""
 
@@ -42,6 +46,30 @@ def beyond_checks(figures: dict[str, Any]) -> list[Finding]:
     """What is looked at beside the run's own checks: its step, the mesh, warnings, added mass."""
     step = [_step(figures)] if "stable_step_min" in figures else []
     return [*step, *_mesh(figures), *_added_mass(figures)]
+
+
+def doubtful(figures: dict[str, Any]) -> tuple[str, ...]:
+    """What of a run wants a look, in a word or two each: checks that it did not keep, and what else was found."""
+    checks = tuple(check["name"] for check in figures.get("checks", ()) if not check["passed"])
+    found = beyond_checks(figures) if checks or "checks" in figures else []
+    return checks + tuple(dict.fromkeys(finding.subject.lower() for finding in found if not finding.passed))
+
+
+def open_end(figures: dict[str, Any]) -> str:
+    """That a run ends before contact does, in a few words for a table; "" where nothing touches at its end."""
+    if figures.get("still_closing"):
+        return "ends while still closing"
+    return "ends in contact" if figures.get("bearing_at_end") else ""
+
+
+def contact_spans(figures: dict[str, Any], pair: str) -> str:
+    """When a pair is in contact: "405.4 µs to 3.825 ms, 5.04 ms to the end"."""
+    phases = figures["contact_phases"][pair]
+    spans = [f"{moment(start)} to {moment(end)}" for start, end in phases[:SPANS]]
+    if phases and len(phases) <= SPANS and pair in figures.get("bearing_at_end", ()):
+        spans[-1] = f"{moment(phases[-1][0])} to the end"
+    more = f" and {len(phases) - SPANS} more" if len(phases) > SPANS else ""
+    return ", ".join(spans) + more
 
 
 def trusted(found: list[Finding]) -> bool:

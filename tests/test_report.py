@@ -17,7 +17,7 @@ import pytest
 from small_run import TABLE, small_run
 
 from phantomnode import open_results
-from phantomnode.pipeline.cases_page import asked_of, compared_cases
+from phantomnode.pipeline.cases_page import asked_of, compared_cases, table_of
 from phantomnode.pipeline.cli import app
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.packing import packed, quantised
@@ -218,7 +218,7 @@ class TestPages:
     def test_a_batch_page_has_every_case_and_what_went_wrong(self, batch):
         (page,) = write_report([batch], batch)
         text = page.read_text(encoding="utf-8")
-        assert "3 of 4 cases are done" in text and "1 of them kept not all" in text
+        assert "3 of 4 cases are done" in text and "1 of them want a look" in text
         assert "failed: body &lt;disc&gt; lies outside" in text and "speed: 5, 10" in text
         comparison = data_of(page)["comparison"]
         assert [axis["name"] for axis in comparison["axes"]] == ["speed", "cell"]
@@ -240,6 +240,7 @@ class TestPages:
         asked = asked_of(folder)
         assert asked.title == "Falls" and asked.units == {"speed": "m/s"}
         assert asked.plots == {"force": "peak contact force, landing over speed"}
+        assert asked.keys["speed"] == " (body.disc.initial_velocity.1)"
         (page,) = write_report([folder], folder)
         comparison = data_of(page)["comparison"]
         assert [axis["name"] for axis in comparison["axes"]] == ["speed, m/s", "cell"]
@@ -250,6 +251,32 @@ class TestPages:
         cases = compared_cases(batch)
         assert cases[2].inputs == {"speed": 5, "cell": 0.002}
         assert [case.doubts for case in cases] == [(), ("energy error",), (), None]
+
+    def test_a_case_that_ends_in_contact_or_with_a_warning_is_told_apart(self, batch, tmp_path):
+        """In the table and the first line of the page; a warning counts as a check that is not kept."""
+        folder = tmp_path / "ends"
+        shutil.copytree(batch, folder)
+        for case, change in (
+            (0, {"bearing_at_end": ["landing"]}),
+            (1, {"still_closing": ["landing"], "bearing_at_end": []}),
+            (2, {"warnings": ["bodies a and b may meet"]}),
+        ):
+            path = compared_cases(folder)[case].folder / "summary.json"
+            path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        cases = compared_cases(folder)
+        assert [case.end for case in cases] == [
+            "ends in contact",
+            "ends while still closing",
+            cases[2].end,
+            "",
+        ]
+        assert cases[2].doubts == ("warning",)
+        rows = [[cell.text for cell in row] for row in table_of(cases, folder).rows]
+        assert "kept; ends in contact" in rows[0] and "energy error; ends while still closing" in rows[1]
+        (page,) = write_report([folder], folder)
+        text = page.read_text(encoding="utf-8")
+        assert "2 of them want a look. " in text and "1 of them: ends while still closing." in text
+        assert f'href="{cases[0].folder.name}/"' in text  # cases without a page of their own
 
     def test_runs_beside_each_other(self, run_folder, tmp_path):
         (page,) = write_report([run_folder, run_folder], tmp_path / "both")

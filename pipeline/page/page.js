@@ -410,7 +410,8 @@
         if (!curves.has(label(k))) curves.set(label(k), places.map(() => null));
         curves.get(label(k))[places.indexOf(x[k])] = value;
       });
-      const points = { points: { show: true, size: 6 }, spanGaps: true };
+      const points = { points: { show: true, size: words.length ? 10 : 6 }, spanGaps: true };
+      if (words.length) points.paths = () => null; // no line leads from one choice to another
       const series = [...curves.keys()].map((name) => ({ label: name, style: points }));
       const options = { title: what.name, xLabel: along.name, yLabel: "", series };
       if (words.length) {
