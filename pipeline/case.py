@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from phantomnode.pipeline.crosscheck import cross_check
 from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.merging import merged
 from phantomnode.pipeline.messages import describe, listed, suggestion
 from phantomnode.pipeline.overrides import apply_overrides
 from phantomnode.pipeline.schema import Case
@@ -114,20 +115,10 @@ def variants(case: Case) -> dict[str, Case]:
         try:
             if "variant" in changes:
                 raise CaseError("variant: a variant has none of its own")
-            found[name] = case_from_table(_merged(base, {"title": f"{case.title}: {name}", **changes}))
+            found[name] = case_from_table(merged(base, {"title": f"{case.title}: {name}", **changes}))
         except CaseError as error:
             raise CaseError([f"variant.{name}: {message}" for message in error.messages]) from error
     return found
-
-
-def _merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with some keys changed; tables within it key by key."""
-    both = {
-        key: _merged(table[key], value)
-        for key, value in changes.items()
-        if isinstance(value, Mapping) and isinstance(table.get(key), Mapping)
-    }
-    return {**table, **changes, **both}
 
 
 def resolved_toml(case: Case) -> str:

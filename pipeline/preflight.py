@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -118,12 +118,20 @@ def threads_told(prepared: Prepared, asked: int, used: int) -> str:
     return f"threads   {used} of {asked}: {why}"
 
 
-def report(prepared: Prepared) -> RenderableType:
-    """The preflight report: bodies, contact pairs, boundaries, the step and what the run will take."""
+def variant_row(name: str, variant: Prepared) -> tuple[str, ...]:
+    """What a variant of a case would take: its name, steps, the step, time on one core, and what is doubtful."""
+    steps, needed = f"{steps_of(variant)}", f"about {_duration(estimated_time(variant))}"
+    return name, steps, f"{variant.dt:.4g} s", needed, "; ".join(_advice(variant))
+
+
+def report(prepared: Prepared, variants: Sequence[tuple[str, ...]] = ()) -> RenderableType:
+    """The preflight report: bodies, contact pairs, boundaries, the step and what the run will take.
+
+    ``variants`` are those of the case, rows of :func:`variant_row`.
+    """
     from rich.console import Group
 
-    walls = [wall(body) for body in prepared.bodies]
-    gaps = [(gap, _meets(prepared, number, gap)) for number, gap in enumerate(initial_gaps(prepared))]
+    walls, gaps = [wall(body) for body in prepared.bodies], _gaps(prepared)
     parts: list[RenderableType] = [
         _table(("body", "", *(b.name for b in prepared.bodies)), _body_rows(prepared, walls))
     ]
@@ -137,13 +145,26 @@ def report(prepared: Prepared) -> RenderableType:
     if prepared.boundaries:
         parts.append(_table(("boundary", "nodes", "holds"), _boundary_rows(prepared)))
     parts.append(_table(("run", ""), _run_rows(prepared)))
-    advice = (
+    if variants:
+        parts.append(_table(("variant", "steps", "step", "time", "to look at"), iter(variants)))
+    return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in _advice(prepared, walls, gaps)))
+
+
+def _gaps(prepared: Prepared) -> list[tuple[Gap | None, float]]:
+    """The gap of each pair, and when it closes."""
+    return [(gap, _meets(prepared, number, gap)) for number, gap in enumerate(initial_gaps(prepared))]
+
+
+def _advice(
+    prepared: Prepared, walls: list[Wall] | None = None, gaps: list[tuple[Gap | None, float]] | None = None
+) -> list[str]:
+    """What wants a look before the run; ``walls`` and ``gaps`` are found unless given."""
+    return [
         *prepared.warnings,
-        *_thin_walls(prepared, walls),
+        *_thin_walls(prepared, walls or [wall(body) for body in prepared.bodies]),
         *coarse_slaves(prepared),
-        *_never_or_late(prepared, gaps),
-    )
-    return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in advice))
+        *_never_or_late(prepared, _gaps(prepared) if gaps is None else gaps),
+    ]
 
 
 def _meets(prepared: Prepared, number: int, gap: Gap | None) -> float:

@@ -21,7 +21,7 @@ from phantomnode.pipeline.folder import cannot_write, finished_run, go_on_with, 
 from phantomnode.pipeline.keeper import Keeper
 from phantomnode.pipeline.lock import FolderLock
 from phantomnode.pipeline.observer import Ending, Observer, sample_steps
-from phantomnode.pipeline.preflight import report, steps_of, text_report, threads_told
+from phantomnode.pipeline.preflight import report, steps_of, text_report, threads_told, variant_row
 from phantomnode.pipeline.profile import draw_profiles, profile_steps, stations
 from phantomnode.pipeline.provenance import case_hash, provenance
 from phantomnode.pipeline.run_files import VARIANTS
@@ -187,6 +187,9 @@ def run_all(
     from phantomnode.pipeline.figures import draw_figures
 
     folder = Path(out)
+    if not resume:
+        for _ in prepared_variants(case):  # what is wrong with any of them is told before the first step
+            pass
     cases = {"": (case, folder)}
     cases |= {name: (variant, folder / VARIANTS / name) for name, variant in variants(case).items()}
     limit = wall_limit_from(wall_limit, time.perf_counter())
@@ -207,6 +210,22 @@ def run_all(
         pictures += draw_figures(folder)
     _tell(console, [f"picture   {picture}" for picture in pictures])
     return summaries
+
+
+def prepared_variants(case: Case) -> Iterator[tuple[str, Prepared]]:
+    """The variants of a case by their names, one after the other.
+
+    Raises
+    ------
+    CaseError, GeometryError
+        Where one cannot be run, with its name.
+    """
+    from phantomnode.pipeline.case import variants
+    from phantomnode.pipeline.prepare import prepare
+
+    for name, variant in variants(case).items():
+        with _told_of(name):
+            yield name, prepare(variant)
 
 
 def _label(case: Case) -> str:
@@ -257,10 +276,11 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
         prepared = prepare(case)
     stations(prepared)  # a line that meets no body is told now
     make_folder(folder)
+    others = [variant_row(name, variant) for name, variant in prepared_variants(case)]
     write_atomically(folder / "preview.vtu", preview_vtu(prepared))
     draw_preview(prepared, folder / "preview.png")
     if console is not None:
-        console.print(report(prepared))
+        console.print(report(prepared, others))
         console.print(f"pictures  {folder / 'preview.png'}, {folder / 'preview.vtu'}", soft_wrap=True)
     return prepared
 
