@@ -95,6 +95,22 @@ def complaint(findings: Sequence[Finding], unit: str) -> str:
     )
 
 
+def open_ends(curves: Sequence[Curve], unit: str, shown: str = "") -> str:
+    """Where the longest open curve of a drawing without outlines would have to be closed, in its unit.
+
+    ``shown`` is what that is called, where the drawing has none.
+    """
+    if not curves:
+        return "there are no open curves either"
+    factor, unit = metres(unit), shown or unit
+    longest = max(curves, key=lambda curve: float(curve.lengths.sum()))
+    (x0, y0), (x1, y1) = longest.points[[0, -1]] / factor + 0.0
+    return (
+        f"{len(curves)} open curves were found; the longest ends at ({x0:.6g}, {y0:.6g}) and ({x1:.6g}, {y1:.6g}) "
+        f"{unit}, {np.hypot(x1 - x0, y1 - y0):.3g} {unit} apart: join the ends in the drawing"
+    )
+
+
 def named(
     findings: Sequence[Finding], pieces: Sequence[Curve], sources: Sequence[str]
 ) -> tuple[Finding, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from phantomnode.geometry.curves import Geometry, Region, part_names
 from phantomnode.geometry.errors import OutlineError
-from phantomnode.geometry.findings import complaint
+from phantomnode.geometry.findings import complaint, open_ends
 from phantomnode.geometry.limits import TIME_LIMIT
 from phantomnode.geometry.readers import read_geometry
 from phantomnode.geometry.walls import thinnest_wall
@@ -139,7 +139,8 @@ def write_case_for(
         raise OutlineError(f"{file}: {complaint(geometry.findings, geometry.unit)}", geometry)
     if not geometry.regions:
         raise CaseError(
-            f"{file}: holds no closed outline, and a body needs one; look: phantomnode inspect {file}"
+            f"{file}: there is no closed outline, and a body needs one; "
+            f"{open_ends(geometry.curves, geometry.unit)}; look: phantomnode inspect {file}"
         )
     wanted = {
         "layers": layers,

@@ -16,11 +16,10 @@ from phantomnode.geometry.cut import cut
 from phantomnode.geometry.doubling import CutMesh, double
 from phantomnode.geometry.errors import GeometryError, OutlineError
 from phantomnode.geometry.fans import centroid_fans
-from phantomnode.geometry.findings import complaint
+from phantomnode.geometry.findings import complaint, open_ends
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.geometry.noding import Lattice
 from phantomnode.geometry.relocate import relocate
-from phantomnode.geometry.units import metres
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.expressions import ExpressionError, parse
@@ -136,7 +135,10 @@ def _regions(drawings: Drawings, geometry: BodyGeometry) -> tuple[tuple[Region, 
     """The outlines of a body, placed, with the reader's notes."""
     source = _drawing(drawings, geometry)
     if not source.regions:
-        raise OutlineError(f"there is no closed outline, and a body needs one; {_open_ends(source)}", source)
+        raise OutlineError(
+            f"there is no closed outline, and a body needs one; {open_ends(source.curves, source.unit)}",
+            source,
+        )
     if geometry.region is not None:
         source = replace(source, regions=_chosen(source, geometry.region))
     elif source.wrong:
@@ -164,20 +166,6 @@ def _chosen(source: Geometry, region: str | int) -> tuple[Region, ...]:
             f"{', or by a name: ' + ', '.join(names) if names else ''}"
         )
     return found
-
-
-def _open_ends(source: Geometry) -> str:
-    """Where the longest open chain would have to be closed, in the unit of the file."""
-    if not source.curves:
-        return "there are no open curves either"
-    factor = metres(source.unit)
-    longest = max(source.curves, key=lambda curve: float(curve.lengths.sum()))
-    (x0, y0), (x1, y1) = longest.points[[0, -1]] / factor + 0.0
-    return (
-        f"{len(source.curves)} open curves were found; the longest ends at ({x0:.6g}, {y0:.6g}) and "
-        f"({x1:.6g}, {y1:.6g}) {source.unit}, {np.hypot(x1 - x0, y1 - y0):.3g} {source.unit} apart: join the ends "
-        "in the drawing"
-    )
 
 
 def _drawing(drawings: Drawings, geometry: BodyGeometry) -> Geometry:

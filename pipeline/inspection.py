@@ -11,7 +11,7 @@ import numpy as np
 
 from phantomnode.geometry.curves import Geometry, diagonal, part_names
 from phantomnode.geometry.errors import NoUnitError, OutlineError
-from phantomnode.geometry.findings import HEALED, WRONG
+from phantomnode.geometry.findings import HEALED, WRONG, open_ends
 from phantomnode.geometry.limits import TIME_LIMIT
 from phantomnode.geometry.readers import read_geometry
 from phantomnode.geometry.units import metres, size_note
@@ -191,6 +191,9 @@ def _findings(found: Inspection) -> Iterator[str]:
     if gaps:
         factor = metres(geometry.unit)
         yield f"          ends up to {max(gaps) / factor:.2g} {_unit(found)} apart were joined"
+    if not geometry.regions:
+        where = open_ends(geometry.curves, geometry.unit, _unit(found))
+        yield f"problem   there is no closed outline, and a body needs one; {where}"
     if found.refusal is not None or geometry.wrong:
         yield "problem   no body can be made of crossing outlines: take layers or one region"
 

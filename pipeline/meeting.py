@@ -37,18 +37,32 @@ def unpaired(case: Case, cut: dict[str, CutBody]) -> list[str]:
 
 
 def too_fast(case: Case) -> list[str]:
-    """A warning of each body that starts faster than its own waves: a modulus in other units, most likely."""
-    found = []
+    """A warning of each material of which a body moves, or is met, faster than its waves: E in wrong units, mostly."""
+    fastest: dict[str, tuple[float, str]] = {}
     for name, body in case.body.items():
-        material, speed = case.material[body.material], float(np.hypot(*body.initial_velocity))
+        speed, met = float(np.hypot(*body.initial_velocity)), _met_at(case, name)
+        what = f"starts at {speed:g} m/s" if speed >= met else f"is met at {met:g} m/s"
+        told = max(speed, met), f"body {name} {what}"
+        fastest[body.material] = max(fastest.get(body.material, told), told, key=lambda one: one[0])
+    found = []
+    for name, (speed, what) in fastest.items():
+        material = case.material[name]
         modulus = material.E * (1.0 - material.nu) / ((1.0 + material.nu) * (1.0 - 2.0 * material.nu))
         wave = float(np.sqrt(modulus / material.rho))
         if speed > wave:
             found.append(
-                f"body {name} starts at {speed:g} m/s, faster than the waves in {body.material}, {wave:.3g} m/s: are "
-                f"E = {material.E:g} Pa and rho = {material.rho:g} kg/m^3 right"
+                f"{what}, faster than the waves in {name}, {wave:.3g} m/s: are E = {material.E:g} Pa and "
+                f"rho = {material.rho:g} kg/m^3 right"
             )
     return found
+
+
+def _met_at(case: Case, body: str) -> float:
+    """The largest speed, m/s, at which bodies that have a contact with this one move against it at first."""
+    pairs = ({_body(case, contact.slave), _body(case, contact.master)} for contact in case.contact.values())
+    others = set().union(*(pair for pair in pairs if body in pair)) & case.body.keys()
+    own = np.array(case.body[body].initial_velocity)
+    return max((float(np.hypot(*(own - case.body[name].initial_velocity))) for name in others), default=0.0)
 
 
 def _body(case: Case, surface: str) -> str:

@@ -109,7 +109,7 @@ def _describe(error: ErrorDetails, table: Mapping[str, Any], root: type[BaseMode
     if kind == "missing":
         return _missing(loc, table, root)
     if kind == "value_error":
-        return f"{path}: {context['error']}"
+        return f"{path}: {context['error']}" if path else str(context["error"])
     if loc and loc[-1] == "[key]":
         name = error["input"]
         return f"{dotted(loc[:-2])}: {name!r} cannot be a name; use letters, digits, _ and -, a letter first"

@@ -152,6 +152,8 @@ def plot_files(
     for one in what:  # all of them, before the first one is drawn
         if one not in KNOWN and one not in results.history:
             raise CaseError(_no_picture(results, one))
+    for time in times:
+        _in_the_run(results, time)
     written = []
     wanted = [(one, [time]) for one in what if one in QUANTITIES for time in times or ("peak",)]
     wanted += [(one, list(times) or _own_times(results, one, pair)) for one in what if one not in QUANTITIES]
@@ -169,6 +171,15 @@ def plot_files(
         timed = one in QUANTITIES or one == PRESSURE
         written.append((path, _said_of(results, at) if timed else ""))
     return written
+
+
+def _in_the_run(results: Results, time: Time) -> None:
+    """Refuse a time that the run has not, or not yet."""
+    if isinstance(time, str):
+        return
+    last = float(results.times[results.nearest("end")])
+    if not -NEAR * last <= time <= (1.0 + NEAR) * last:
+        raise CaseError(f"--time {time:g}: frames go from 0 to {last:.7g} s ({_exact(last)})")
 
 
 def _own_times(results: Results, what: str, pair: str | None) -> list[Time]:

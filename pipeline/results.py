@@ -37,6 +37,10 @@ NAMED = ("start", "peak", "end")
 """The first frame, that of the largest internal energy, the last one."""
 
 
+LISTED = 6
+"""Folders that a message names."""
+
+
 def open_results(folder: str | Path) -> Results:
     """The results of a run, read from its folder as they are asked for; also while the run goes on.
 
@@ -133,6 +137,10 @@ def no_results(path: Path) -> CaseError:
     hint = f"; did you mean {newest}?" if newest is not None else ""
     if not path.is_dir():
         return CaseError(f"{path}: there is no such folder{hint or '; name the folder of a run'}")
+    inside = sorted(file.parent for file in path.glob("*/history.csv"))
+    if inside and not hint:
+        more = f" and {len(inside) - LISTED} more" if len(inside) > LISTED else ""
+        hint = f"; it holds the runs {', '.join(map(str, inside[:LISTED]))}{more}"
     return CaseError(f"{path}: holds no results of a run (no history.csv){hint}")
 
 

@@ -222,6 +222,10 @@ def test_a_body_faster_than_its_waves_is_doubtful() -> None:
     assert told.startswith(
         "body block starts at 5 m/s, faster than the waves in soft, 0.116 m/s: are E = 10 Pa"
     )
+    table["material"]["hard"] = {"E": 1e9, "nu": 0.3, "rho": 1000.0}
+    table["body"]["block"]["material"] = "hard"  # now the floor at rest is the soft one
+    (told,) = [text for text in prepare(case_from_table(table)).warnings if "faster" in text]
+    assert told.startswith("body floor is met at 5 m/s, faster than the waves in soft, 0.116 m/s")
 
 
 def test_one_element_that_is_smallest_and_sets_the_step_is_shown_once(apart: Prepared, monkeypatch) -> None:

@@ -156,9 +156,13 @@ def test_a_case_takes_layers_and_unit_along(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_case_needs_an_outline(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = drawing(tmp_path / "l.dxf", lambda space: space.add_line((0, 0), (1, 1)))
+    file = drawing(tmp_path / "l.dxf", lambda space: space.add_line((0, 0), (3, 4)))
     assert cli_files.new(str(tmp_path / "n"), from_=file) == console.INPUT_AT_FAULT
-    assert "no closed outline" in capsys.readouterr().err and not (tmp_path / "n").exists()
+    where = "the longest ends at (0, 0) and (3, 4) mm, 5 mm apart: join the ends in the drawing"
+    assert where in capsys.readouterr().err and not (tmp_path / "n").exists()
+    assert f"problem there is no closed outline, and a body needs one; 1 open curves were found; {where}" in (
+        inspected(capsys, file)
+    )
 
 
 CASE = """

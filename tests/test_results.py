@@ -148,6 +148,8 @@ class TestArrays:
             (tmp_path / "results" / name).mkdir(parents=True)
             (tmp_path / "results" / name / "history.csv").write_text("time\n")
             os.utime(tmp_path / "results" / name / "history.csv", (len(name), len(name)))
+        with pytest.raises(CaseError, match=r"results.mine, results.mine-2, results.minerals$"):
+            open_results("results")
         with pytest.raises(CaseError, match=r"did you mean results.mine-2\?"):
             open_results(tmp_path / "mine")
         (tmp_path / "results.csv").write_text("case\n")
@@ -355,6 +357,7 @@ class TestPictures:
         assert "--zoom 0 0 1 0: write x0 y0 x1 y1" in line("--zoom", "0", "0", "1", "0")
         assert "--range 5 1: the first value must be below" in line("--range", "5", "1")
         assert "--time nan: write seconds" in line("--time", "nan")
+        assert "--time 5: frames go from 0 to 0.0012" in line("--time", "5")
         assert "no contact pair 'x'" in line("--what", "contact_pressure", "--pair", "x")
 
     def test_the_command_line_says_where_pictures_are(self, results, tmp_path, capsys):

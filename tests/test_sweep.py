@@ -175,6 +175,7 @@ def test_what_is_wrong_is_told_with_its_key(sweep, table: dict[str, Any], messag
     with pytest.raises(CaseError) as refused:
         sweep(**table)
     assert message in str(refused.value) and "sweep.toml: " in str(refused.value)
+    assert ": :" not in str(refused.value)
 
 
 def test_names_are_safe_unlike_each_other_and_not_too_long() -> None:
