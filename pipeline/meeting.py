@@ -37,7 +37,7 @@ def unpaired(case: Case, cut: dict[str, CutBody]) -> list[str]:
 
 
 def too_fast(case: Case) -> list[str]:
-    """A warning of each material of which a body moves, or is met, faster than its waves: E in wrong units, mostly."""
+    """A warning of each material in which a body moves, or is met, faster than its waves: mostly E in other units."""
     fastest: dict[str, tuple[float, str]] = {}
     for name, body in case.body.items():
         speed, met = float(np.hypot(*body.initial_velocity)), _met_at(case, name)
