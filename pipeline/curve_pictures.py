@@ -164,7 +164,7 @@ def draw_history(results: Results, what: str) -> Figure:
     """
     history = results.history
     panels = history_panels(results, what)
-    figure = new_figure(8.0, 1.2 + 3.2 * len(panels))
+    figure = new_figure(9.5, 1.2 + 3.2 * len(panels))
     factor, unit = readable(float(history.time[-1]), "s")
     column = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (label, si, curves) in zip(column, panels, strict=True):
@@ -173,7 +173,9 @@ def draw_history(results: Results, what: str) -> Figure:
             axes.plot(history.time * factor, values * scale, lw=1.2, label=name)
         axes.set_ylabel(f"{label}, {shown}" if shown else label)
         axes.grid(alpha=0.3)
-        axes.legend(frameon=False, fontsize=8, ncols=2 if len(curves) > 3 else 1)
+        axes.legend(
+            frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0)
+        )  # beside the curves
     column[-1].set_xlabel(f"time, {unit}")
     column[0].set_title(results.title, fontsize=10)
     return figure

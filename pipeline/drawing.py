@@ -59,10 +59,15 @@ def _shown_figure() -> type[Figure]:
     return ShownFigure
 
 
-def map_figure(box: Floats, width: float = 9.0, pictures: int = 1) -> tuple[Figure, list[Axes]]:
-    """A figure with equal axes in metres for a (2, 2) box, lower left and upper right; several side by side."""
+def map_figure(
+    box: Floats, width: float = 9.0, pictures: int = 1, used: float = 0.9
+) -> tuple[Figure, list[Axes]]:
+    """A figure with equal axes in metres for a (2, 2) box, lower left and upper right; several side by side.
+
+    Of its width so much is used by the axes themselves.
+    """
     across, up = np.maximum(box[1] - box[0], 1e-12 * np.abs(box).max() + 1e-300)
-    tall = float(np.clip(0.9 * width / pictures * up / across, 3.0, 12.0))
+    tall = float(np.clip(used * width / pictures * up / across, 3.0, 12.0))
     figure = new_figure(width, tall + 1.2)
     row = list(figure.subplots(1, pictures, squeeze=False)[0])
     for axes in row:

@@ -83,7 +83,8 @@ def write_film(
         corners = view_box(*frames)
     picture = FieldPicture(frames[0], what, results.title, limits=span, box=corners, smooth=smooth)
     _even(picture, width)
-    picture.figure.canvas.draw()
+    for _ in range(2):  # the layout of axes of equal scale settles in two passes
+        picture.figure.canvas.draw()
     picture.figure.set_layout_engine("none")  # as it is now, in all frames
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")

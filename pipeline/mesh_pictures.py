@@ -40,16 +40,21 @@ def draw_level_sets(prepared: Prepared, title: str = "", box: Floats | None = No
     box = _margin(box_of(np.concatenate([body.grid.xy for body in prepared.bodies]))) if box is None else box
     shown = [body for body in prepared.bodies if _meet(box, body.grid.box)] or list(prepared.bodies)
     panels = [(body, name, levels) for body in shown for name, levels in _level_sets_of(body)]
-    figure, row = map_figure(box, 6.5 * len(panels), len(panels))
+    figure, row = map_figure(box, 6.5 * len(panels), len(panels), used=0.72)
+    heading = f"{title}\n" if len(panels) == 1 and title else ""
     for axes, (body, name, levels) in zip(row, panels, strict=True):
         painted = _level_set(axes, body, levels)
         _curves(axes, body)
         _relocated(axes, prepared, body)
         axes.set(xlim=box[:, 0], ylim=box[:, 1])
-        axes.set_title(f"{name}: {body.relocated} of {body.grid.node_count} nodes relocated", fontsize=9)
-        axes.legend(loc="upper right", fontsize=8)
+        relocated = f"{body.relocated} of {body.grid.node_count} nodes relocated"
+        axes.set_title(f"{heading}{name}: {relocated}", fontsize=9)
+    handles, labels = row[0].get_legend_handles_labels()
+    style: dict[str, Any] = {"fontsize": 8, "frameon": False, "markerscale": 2.0}
+    figure.legend(handles, labels, loc="outside lower center", **style)
     figure.colorbar(painted, ax=row, label="signed distance over cell size", shrink=0.8)
-    figure.suptitle(title, fontsize=10)
+    if not heading:
+        figure.suptitle(title, fontsize=10)
     return figure
 
 
@@ -82,7 +87,8 @@ def draw_nodes(prepared: Prepared, title: str = "", box: Floats | None = None) -
         label=f"phantom nodes ({len(phantom)})",
     )  # fmt: skip
     axes.set(xlim=box[:, 0], ylim=box[:, 1])
-    figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False)
+    legible = max(5.0 / size, 1.0)  # the dots themselves are small where cells are
+    figure.legend(loc="outside lower center", ncols=4, fontsize=8, frameon=False, markerscale=legible)
     axes.set_title(title, fontsize=10)
     return figure
 

@@ -184,26 +184,27 @@ def read_profile(path: Path) -> tuple[Floats, dict[str, Floats]]:
 
 def _draw(name: str, runs: Mapping[str, Path], path: Path) -> Path:
     """One picture, with the times side by side."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from phantomnode.pipeline.drawing import save
+    from phantomnode.pipeline.drawing import moment, new_figure, readable, save
 
     found = {label: folder / f"{name}.csv" for label, folder in runs.items()}
     curves = {label: read_profile(file) for label, file in found.items() if file.exists()}
     times = max(len(columns) for _, columns in curves.values())
-    figure = Figure(figsize=(5.0 * times, 5.5), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    what = next(column.partition(" at ")[0] for _, columns in curves.values() for column in columns)
+    along, length = readable(max(float(distance[-1]) for distance, _ in curves.values()), "m")
+    values = [column for _, columns in curves.values() for column in columns.values()]
+    scale, unit = readable(np.concatenate(values), "" if what == "J" else "Pa")
+    figure = new_figure(5.0 * times, 5.5)
+    figure.suptitle(f"{name.removeprefix('profile.')}: {what.replace('_', ' ')} along a line", fontsize=11)
     for number, axes in enumerate(figure.subplots(1, times, sharey=True, squeeze=False)[0]):
         for place, (label, (distance, columns)) in enumerate(curves.items()):
             if number < len(columns):
-                what, _, time = list(columns)[number].partition(" at ")
-                scale = 1e6 if what != "J" else 1.0
-                style = {"lw": 2.4, "color": "0.6"} if place == 0 else {"lw": 1.0}
-                axes.plot(1e3 * distance, columns[f"{what} at {time}"] / scale, label=label, **style)
-                axes.set_title(f"t = {float(time.removesuffix(' s')) * 1e6:.4g} us")
-                axes.set_ylabel(what + (", MPa" if scale > 1.0 else "") if number == 0 else "")
-        axes.set_xlabel("distance along the line, mm")
+                column = list(columns)[number]
+                # The case itself lies broad and pale under its variants.
+                style = {"lw": 2.4, "color": "0.6"} if place == 0 and len(curves) > 1 else {"lw": 1.0}
+                axes.plot(along * distance, scale * columns[column], label=label, **style)
+                axes.set_title(f"t = {moment(float(column.partition(' at ')[2].removesuffix(' s')))}")
+                axes.set_ylabel((what + (f", {unit}" if unit else "")) if number == 0 else "")
+        axes.set_xlabel(f"distance along the line, {length}")
         axes.grid(alpha=0.3)
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)

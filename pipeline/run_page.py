@@ -7,6 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from phantomnode.pipeline.curve_pictures import bearing_times, draw_pressure
 from phantomnode.pipeline.drawing import moment, readable
 from phantomnode.pipeline.field_pictures import draw_field
@@ -20,6 +22,9 @@ from phantomnode.pipeline.view_data import view_data
 
 NO_PART = 1e-5
 """Of the largest part of some vectors: a part that is smaller is rounding."""
+
+FAR_MORE = 1.3
+"""Times the largest contact force in a frame: a larger one between frames is worth a word."""
 
 UNENDED = Finding(
     False,
@@ -257,7 +262,24 @@ def _pictures(results: Results) -> Iterator[Picture]:
     yield picture_of(draw_field(frame, "von_mises", results.title), caption)
     for pair in results.pairs:
         if times := bearing_times(results, pair):
-            yield picture_of(draw_pressure(results, pair, times), f"Contact pressure of {pair}")
+            yield picture_of(
+                draw_pressure(results, pair, times), f"Contact pressure of {pair}{_missed(results, pair)}"
+            )
+
+
+def _missed(results: Results, pair: str) -> str:
+    """That the largest force of a pair is between frames, where none of them has nearly as much."""
+    history = results.history
+    size = np.hypot(history[f"contact.{pair}.fx"], history[f"contact.{pair}.fy"])
+    seen = float(np.interp(results.times, history.time, size).max())
+    if size.max() <= FAR_MORE * seen:
+        return ""
+    factor, unit = readable(float(size.max()), "N/m")
+    when = moment(float(history.time[np.argmax(size)]))
+    return (
+        f"; the largest force, {size.max() * factor:.3g} {unit} at {when}, is between the frames: more of them "
+        "(output.fields.count) would show it"
+    )
 
 
 def _timings(figures: dict[str, Any]) -> Iterator[str]:

@@ -23,6 +23,7 @@ from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.packing import packed, quantised
 from phantomnode.pipeline.page_charts import overlay
 from phantomnode.pipeline.report import write_report
+from phantomnode.pipeline.run_page import _missed
 from phantomnode.pipeline.trust import findings, trusted
 from phantomnode.pipeline.view_data import BUDGET, _solid, chosen, view_data
 
@@ -252,6 +253,25 @@ class TestPages:
         assert cases[2].inputs == {"speed": 5, "cell": 0.002}
         assert [case.doubts for case in cases] == [(), ("energy error",), (), None]
 
+    def test_a_force_between_the_frames_is_told(self, run_folder, tmp_path):
+        results = open_results(run_folder)
+        assert _missed(results, "landing") == ""
+        few = tmp_path / "few"
+        shutil.copytree(run_folder, few)
+        history = results.history
+        peak = int(np.argmax(np.hypot(history["contact.landing.fx"], history["contact.landing.fy"])))
+        lines = (few / "history.csv").read_text().splitlines()
+        column = lines[0].split(",").index("contact.landing.fy")
+        row = lines[1 + peak].split(",")
+        row[column] = "1e9"  # a blow that no frame has seen: its time is no frame's
+        between = next(
+            k for k in range(len(history.time)) if np.abs(results.times - history.time[k]).min() > 1e-5
+        )
+        row[0] = lines[1 + between].split(",")[0]
+        lines[1 + between] = ",".join(row)
+        (few / "history.csv").write_text("\n".join(lines) + "\n")
+        assert "the largest force, 1 GN/m at " in _missed(open_results(few), "landing")
+
     def test_a_case_that_ends_in_contact_or_with_a_warning_is_told_apart(self, batch, tmp_path):
         """In the table and the first line of the page; a warning counts as a check that is not kept."""
         folder = tmp_path / "ends"
@@ -276,7 +296,7 @@ class TestPages:
         (page,) = write_report([folder], folder)
         text = page.read_text(encoding="utf-8")
         assert "2 of them want a look. " in text and "1 of them: ends while still closing." in text
-        assert f'href="{cases[0].folder.name}/"' in text  # cases without a page of their own
+        assert f'href="{cases[0].folder.name}/' in text  # its page, or its folder where it has none
 
     def test_runs_beside_each_other(self, run_folder, tmp_path):
         (page,) = write_report([run_folder, run_folder], tmp_path / "both")

@@ -335,7 +335,9 @@
     const limits = () => {
       view.colour(Number(field.value), Number(low.value), Number(high.value));
       element("bar-low").textContent = short(Number(low.value));
-      element("bar-high").textContent = `${short(Number(high.value))} ${data.fields[field.value].unit}`;
+      const { unit, range } = data.fields[field.value];
+      const beyond = range[1] > Number(high.value) ? ` and more, up to ${short(range[1])}` : "";
+      element("bar-high").textContent = `${short(Number(high.value))}${beyond} ${unit}`;
       show();
     };
     const choose = () => {
