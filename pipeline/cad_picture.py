@@ -44,8 +44,8 @@ def drawn_where_refused(folder: Path) -> Iterator[None]:
         raise CaseError(tuple(f"{message}; drawn in {picture}" for message in error.messages)) from error
 
 
-def draw_geometry(geometry: Geometry, path: Path, title: str) -> None:
-    """Write a picture of a drawing in the unit of its file.
+def draw_geometry(geometry: Geometry, path: Path, title: str, unit: str = "") -> None:
+    """Write a picture of a drawing in the unit of its file; ``unit`` is what that is called, where it has none.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def draw_geometry(geometry: Geometry, path: Path, title: str) -> None:
     loops = [loop for region in geometry.regions for loop in region.loops]
     every = [*loops, *geometry.curves]
     size = diagonal(every)
-    figure, axes = _figure(every, factor, geometry.unit)
+    figure, axes = _figure(every, factor, unit or geometry.unit)
     for k, region in enumerate(geometry.regions):
         _fill(axes, region, factor, size, BODY_COLOURS[k % len(BODY_COLOURS)])
         if float(np.min(region.box[1] - region.box[0])) > SMALLEST_LABEL * size:
@@ -77,14 +77,17 @@ def draw_geometry(geometry: Geometry, path: Path, title: str) -> None:
 
 def _figure(curves: list[Curve], factor: float, unit: str) -> tuple[Figure, Axes]:
     """A figure with equal axes in the unit of the file, with a margin."""
+    from matplotlib.ticker import ScalarFormatter
+
     boxes = np.array([curve.box for curve in curves]) / factor
     box = np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])
     box += 0.04 * float(np.max(box[1] - box[0])) * np.array([[-1.0], [1.0]])
     figure, (axes,) = map_figure(box)
     axes.set_xlim(*box[:, 0])
     axes.set_ylim(*box[:, 1])
-    axes.set_xlabel(f"x, {unit}")
-    axes.set_ylabel(f"y, {unit}")
+    for axis, name in ((axes.xaxis, "x"), (axes.yaxis, "y")):
+        axis.set_major_formatter(ScalarFormatter(useOffset=False))  # numbers as the file has them
+        axis.set_label_text(f"{name}, {unit}")
     return figure, axes
 
 

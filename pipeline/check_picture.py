@@ -249,6 +249,7 @@ def _draw_contact(axes: Axes, prepared: Prepared, size: float) -> None:
 
 def _length(value: float) -> str:
     """A length to three digits, in a unit that suits it: "0.6 mm"."""
+    value = float(f"{value:.3g}")  # 0.9999 mm is 1 mm, not 1000 um
     factor, unit = readable(value, "m")
     return f"{value * factor:.3g} {unit}"
 

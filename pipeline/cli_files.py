@@ -89,7 +89,7 @@ def inspect(
         )  # fmt: skip
         picture = out or Path("results") / "inspect" / f"{file.name}.png"
         make_folder(picture.parent)
-        draw_geometry(found.geometry, picture, file.name)
+        draw_geometry(found.geometry, picture, file.name, "" if found.has_unit else "units of the file")
         console.print(report(found), highlight=False)
         console.print(f"picture   {picture}", soft_wrap=True, highlight=False)
         return DONE

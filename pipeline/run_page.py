@@ -20,8 +20,8 @@ from phantomnode.pipeline.results import Results
 from phantomnode.pipeline.trust import Finding, contact_spans, findings, trusted
 from phantomnode.pipeline.view_data import view_data
 
-NO_PART = 1e-5
-"""Of the largest part of some vectors: a part that is smaller is rounding."""
+NO_PART = 1e-4
+"""Of the largest part of some vectors: a part that is smaller is none, for people."""
 
 FAR_MORE = 1.3
 """Times the largest contact force in a frame: a larger one between frames is worth a word."""
@@ -153,8 +153,9 @@ def _place(obstacle: dict[str, Any] | None) -> str:
     if obstacle is None:
         return ""
     kind = "closed" if obstacle["closed"] else "an open curve"
-    (left, bottom), (right, top) = obstacle["low"], obstacle["high"]
-    return f": {kind}, from ({left:.4g}, {bottom:.4g}) to ({right:.4g}, {top:.4g}) m"
+    extent = max(high - low for low, high in zip(obstacle["low"], obstacle["high"], strict=True))
+    low, high = (_vector(obstacle[end], extent) for end in ("low", "high"))
+    return f": {kind}, from {low} to {high} m"
 
 
 def _penalty(pair: dict[str, Any]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from phantomnode.geometry.readers import read_geometry
-from phantomnode.pipeline import cli, cli_files, console
+from phantomnode.pipeline import cad_picture, cli, cli_files, console
 from phantomnode.pipeline.bodies import cut_body
 from phantomnode.pipeline.case import load_case
 from phantomnode.pipeline.drawings import Drawings
@@ -97,6 +97,25 @@ def test_inspect_of_a_file_that_cannot_be_read_says_why(
     (tmp_path / "x.dxf").write_text("hello")
     assert cli_files.inspect(tmp_path / "x.dxf") == console.INPUT_AT_FAULT
     assert "no known kind" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("units", "size", "label"), [(6, 0.168, "m"), (4, 5000.0, "mm"), (0, 0.168, "units of the file")]
+)
+def test_the_axes_of_the_picture_have_the_numbers_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, units: int, size: float, label: str
+) -> None:
+    """A small drawing in metres, a large one in millimetres, one without a unit."""
+    kept = []
+    monkeypatch.setattr(cad_picture, "save", lambda figure, path: kept.append(figure))
+    corners = [(0, 0), (size, 0), (size, size)]
+    file = drawing(tmp_path / "a.dxf", lambda space: space.add_lwpolyline(corners, close=True), units)
+    assert cli_files.inspect(file, out=tmp_path / "a.png") == console.DONE
+    kept[0].draw_without_rendering()
+    axes = kept[0].axes[0]
+    assert axes.get_xlabel() == f"x, {label}"
+    labels = [float(text.get_text().replace("\N{MINUS SIGN}", "-")) for text in axes.get_xticklabels()]
+    assert labels == pytest.approx(list(axes.get_xticks()), rel=1e-3, abs=1e-9)
 
 
 def test_a_case_for_a_drawing_has_its_names_and_can_be_cut(
