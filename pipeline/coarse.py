@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from phantomnode.pipeline.corner_points import widest_gap
-from phantomnode.pipeline.gaps import master_ends
 from phantomnode.pipeline.tally import pair_bodies
-from phantomnode.pipeline.turning import SHARP, narrowest
+from phantomnode.pipeline.turning import SHARP, most_turned
 
 if TYPE_CHECKING:
     from phantomnode.pipeline.prepare import Prepared
+    from phantomnode.pipeline.rigid import Rigid
 
 COARSE = 3.0
 """Times as large as the cells of the master: with such cells a body is better not the slave."""
 
 
 def coarse_slaves(prepared: Prepared) -> Iterator[str]:
-    """A warning of each pair whose slave is much coarser than its master, or than roundings of an obstacle."""
+    """A warning of each pair whose slave is much coarser than its master, or than an obstacle turns."""
     for number, pair in enumerate(prepared.pairs):
         slave, master = pair_bodies(prepared, number)
         if len(pair.passes) == 2 or slave is master:
@@ -34,18 +33,32 @@ def coarse_slaves(prepared: Prepared) -> Iterator[str]:
                     f"of the master: make {pair.master} the slave, or passes = 2"
                 )
             continue
+        rigid = next(each for each in prepared.rigids if each.name == pair.master)
         gap = widest_gap(prepared.case.contact[pair.name].points)
-        radius = _narrowest(prepared, number, gap * cell)
-        if radius * SHARP < gap * cell:
+        turn = _turn(rigid, gap * cell)
+        if turn > SHARP:
+            fine = _followed(rigid, gap * cell) / gap
             yield (
-                f"contact {pair.name}: {pair.master} has roundings of {radius:.2g} m radius, which the points of "
-                f"{pair.slave} do not follow: cells of {radius * SHARP / gap:.2g} m do"
+                f"contact {pair.name}: {pair.master} turns by {math.degrees(turn):.0f} degrees between points of "
+                f"{pair.slave}, {gap * cell:.2g} m apart, which do not follow it"
+                + (f": cells of {fine:.2g} m do" if fine > 0.0 else "")
             )
 
 
-def _narrowest(prepared: Prepared, number: int, spacing: float) -> float:
-    """The smallest radius, m, of the roundings of the master of a pair, seen over a way of ``spacing``, m."""
-    contact, k = prepared.model.contact, prepared.pairs[number].passes[0]
-    first, last = contact.master_first[k : k + 2]
-    following = contact.following[first:last]
-    return narrowest(master_ends(prepared, k), np.where(following >= 0, following - first, -1), spacing)
+def _turn(rigid: Rigid, spacing: float) -> float:
+    """By what angle an obstacle turns over a way of ``spacing``, m, at most, sharp corners left out."""
+    return most_turned(rigid.xy[rigid.segments], rigid.following, spacing)
+
+
+def _followed(rigid: Rigid, spacing: float) -> float:
+    """The widest spacing of points, m, below this one over which an obstacle turns by no more than a sharp corner.
+
+    To one per cent, by halving; 0 where that is a thousandth of it or less, as at vertices beside each other.
+    """
+    low, high = 1e-3 * spacing, spacing
+    if _turn(rigid, low) > SHARP:
+        return 0.0
+    while high > 1.01 * low:
+        middle = math.sqrt(low * high)
+        low, high = (low, middle) if _turn(rigid, middle) > SHARP else (middle, high)
+    return low

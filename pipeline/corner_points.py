@@ -44,8 +44,8 @@ WEIGHT = 0.07
 in until other points meet the master beside it."""
 
 ALLOWED = 0.01
-"""Depth, in the smaller cells of the two sides, up to which a corner feels nothing: what a pressure of E/20 takes at
-the automatic penalty, 5 E/h."""
+"""Depth, in the smaller cells of the two sides, up to which a corner feels nothing: in equal cells what a pressure of
+E/20 takes at the automatic penalty, 5 E/h."""
 
 CUT_OFF = 0.15
 """Of the smaller cell of the two sides: how far before a corner it is cut off on either side."""
@@ -55,7 +55,10 @@ BESIDE = 0.9
 width bear each other to their ends."""
 
 MOST = 0.45
-"""Of a segment that may be cut off: it can end at a corner on either side."""
+"""Of the way to the next corner that may be cut off: it is cut off, too."""
+
+ALMOST = 0.98
+"""Of a segment: what is left of it when more is cut off is not worth a segment."""
 
 FLAT = 1e-6
 """Lines whose directions differ by less do not cross."""
@@ -63,17 +66,26 @@ FLAT = 1e-6
 Piece = tuple[Ints, Floats, Floats]
 """A segment: its four nodes and the shape functions at its ends."""
 
+SHARING = 1.5
+"""Corners that are nearer to each other than this, in cells of the slave, share the weight of one: others can stand
+in different cells."""
+
 MEETING = 3.0
 """Corners that are nearer to each other than this, in diagonals of the largest cell on the other surface, can stand
 on one node: the cells around it take two, and surfaces move towards each other."""
 
 
 class CornerPoints(NamedTuple):
-    """Sharp corners that stick out of a surface: nodes (c, 4), shape (c, 4) at the corner, place (c, 2), m."""
+    """Sharp corners that stick out of a surface, and vertices of narrow roundings.
+
+    nodes (c, 4), shape (c, 4) at the corner, place (c, 2), m; rounding (c,): the number that the vertices of one
+    rounding have in common, its own for every sharp corner.
+    """
 
     nodes: Ints
     shape: Floats
     place: Floats
+    rounding: Ints
 
 
 def with_corners(
@@ -104,11 +116,10 @@ def with_corners(
     """
     body, main, found = cut[slave.body], passes[0], []
     cell = body.grid.typical_size
-    fine = min(cell, _cell(master, cut))
+    fine = cell if isinstance(master, Rigid) else min(cell, cut[master.body].grid.typical_size)
+    depth = cut_depth(fine, points)
     spacing = widest_gap(points) * cell if len(passes) == 1 else 0.0  # else the master has points, too
-    for each, side, depth in zip(
-        passes, (master, slave), (cut_depth(fine, points), cut_depth(cell, points)), strict=False
-    ):
+    for each, side in zip(passes, (master, slave), strict=False):
         if isinstance(side, Rigid):
             xy, first = side.xy, side.nodes.start
         else:
@@ -124,22 +135,12 @@ def with_corners(
     if len(theirs.nodes):
         around = closed_surface(body.mesh.segments, slave.segments, NOBODY)
         surface = master_side(around, body, first_node[slave.body], points)
-        weight, around_one = WEIGHT * cell, MEETING * _widest(body, around)
-        found.append(_one_pass(main, theirs, surface, weight, around_one, penalties, -1.0, ALLOWED * fine))
+        reach = _widest(body, around)
+        found.append(_one_pass(main, theirs, surface, cell, reach, penalties, -1.0, ALLOWED * fine))
     mine = body_corners(body, slave.segments, first_node[slave.body])
     if len(mine.nodes):
-        weight = WEIGHT * cell
-        found.append(
-            _one_pass(main, mine, main.master, weight, MEETING * widest, penalties, 1.0, ALLOWED * cell)
-        )
+        found.append(_one_pass(main, mine, main.master, cell, widest, penalties, 1.0, ALLOWED * fine))
     return found
-
-
-def _cell(side: Surface | Rigid, cut: dict[str, CutBody]) -> float:
-    """Size of the cells of a surface, m; of an obstacle the length of its segments."""
-    if isinstance(side, Rigid):
-        return float(np.median(np.hypot(*np.diff(side.xy[side.segments], axis=1)[:, 0].T)))
-    return cut[side.body].grid.typical_size
 
 
 def widest_gap(points: SlavePoints) -> float:
@@ -150,9 +151,10 @@ def widest_gap(points: SlavePoints) -> float:
 
 def rigid_corners(rigid: Rigid, spacing: float = 0.0) -> CornerPoints:
     """Those of an obstacle, for points of another surface that stand so far apart, m."""
-    at = rigid.segments[sharp_or_narrow(rigid.xy[rigid.segments], rigid.following, spacing), 1]
+    found, rounding = sharp_or_narrow(rigid.xy[rigid.segments], rigid.following, spacing)
+    at = rigid.segments[found, 1]
     nodes = np.repeat(at[:, None] + rigid.nodes.start, 4, axis=1)
-    return CornerPoints(nodes, np.repeat(np.eye(4)[:1], len(at), axis=0), rigid.xy[at])
+    return CornerPoints(nodes, np.repeat(np.eye(4)[:1], len(at), axis=0), rigid.xy[at], rounding)
 
 
 def body_corners(body: CutBody, chosen: Ints, first_node: int, spacing: float = 0.0) -> CornerPoints:
@@ -161,10 +163,11 @@ def body_corners(body: CutBody, chosen: Ints, first_node: int, spacing: float = 
     ``spacing`` as for :func:`rigid_corners`.
     """
     mesh, segments = body.mesh, body.mesh.segments
-    at = sharp_or_narrow(segments.ends, segments.following, spacing)
-    at = at[np.isin(at, chosen) | np.isin(segments.following[at], chosen)]
+    at, rounding = sharp_or_narrow(segments.ends, segments.following, spacing)
+    mine = np.isin(at, chosen) | np.isin(segments.following[at], chosen)
+    at, rounding = at[mine], rounding[mine]
     nodes = mesh.nodes(segments.element[at]) + first_node
-    return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1])
+    return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1], rounding)
 
 
 def cut_off(side: MasterSide, x: Floats, depth: float) -> MasterSide:
@@ -187,10 +190,12 @@ def cut_off(side: MasterSide, x: Floats, depth: float) -> MasterSide:
     onward = side.following.copy()
     onward[corners] = -1
     for s in corners if depth > 0.0 else ():
+        ways = [(int(k), links) for k, links in ((s, backward), (side.following[s], onward))]
+        deep = [min(depth, MOST * _straight(k, depth / MOST, length, links)) for k, links in ways]
         for far in (True, False):  # over several cells, or, where no segment can join those, within one
             (a, back, passed), (b, on, skipped) = (
-                _way(int(k), depth, length, side.nodes, links, far)
-                for k, links in ((s, backward), (side.following[s], onward))
+                _way(k, far_back, length, side.nodes, links, far)
+                for (k, links), far_back in zip(ways, deep, strict=True)
             )
             first = (1.0 - back) * side.end[a] + back * side.start[a]
             last = (1.0 - on) * side.start[b] + on * side.end[b]
@@ -220,6 +225,14 @@ def cut_off(side: MasterSide, x: Floats, depth: float) -> MasterSide:
     )
 
 
+def _straight(at: int, enough: float, length: Floats, links: Ints) -> float:
+    """The length of a way from a corner to the next one or a free end, m, or more than what is enough."""
+    total = 0.0
+    while at >= 0 and total < enough:
+        total, at = total + length[at], int(links[at])
+    return total
+
+
 def _way(
     at: int, depth: float, length: Floats, nodes: Ints, links: Ints, far: bool
 ) -> tuple[int, float, list[int]]:
@@ -228,7 +241,7 @@ def _way(
     It leaves something of the last of them, and leaves the cell of the corner only if it may go ``far``.
     """
     passed: list[int] = []
-    while depth > MOST * length[at]:
+    while depth > ALMOST * length[at]:
         beyond = int(links[at])
         if beyond < 0 or not (far or np.array_equal(nodes[beyond], nodes[at])):
             return at, MOST, passed
@@ -284,21 +297,18 @@ def _one_pass(
     main: ContactPass,
     corners: CornerPoints,
     surface: MasterSide,
-    full: float,
-    around: float,
+    cell: float,
+    widest: float,
     penalties: tuple[float, float],
     sign: float,
     allowed: float,
 ) -> ContactPass:
     """Corners against a surface, at the full penalty: no other points stand where they stand.
 
-    A corner that is alone weighs ``full``, m; those within ``around``, m, share it. They feel nothing up to the depth
-    ``allowed``, m.
+    ``cell`` is that of the slave, ``widest`` the longest diagonal of the cells on the surface, m; the corners feel
+    nothing up to the depth ``allowed``, m.
     """
-    one, other = cKDTree(corners.place).query_pairs(around, output_type="ndarray").T
-    pairs, count = np.concatenate([one, other]), len(corners.place)
-    weight = np.asarray(full / (1.0 + np.bincount(pairs, minlength=count)), dtype=np.float64)
-    gathered = weight + np.bincount(pairs, weight[np.concatenate([other, one])], count)
+    weight, crowd = _shared(corners, cell, MEETING * widest)
     return replace(
         main,
         slave=_lone_points(corners, weight),
@@ -306,9 +316,28 @@ def _one_pass(
         penalty=penalties[0],
         tangential_penalty=penalties[1],
         sign=sign,
-        crowd=float(np.max(gathered)),
+        crowd=crowd,
         allowed=allowed,
     )
+
+
+def _shared(corners: CornerPoints, cell: float, meeting: float) -> tuple[Floats, float]:
+    """(c,) Weights of corners, m, and a bound on those of all that are no farther apart than ``meeting``, m.
+
+    A corner that is alone weighs a part of the cell, m, of the slave. Corners beside each other share that, and so do
+    the vertices of a rounding, which count as one corner in their middle.
+    """
+    _, number, count = np.unique(corners.rounding, return_inverse=True, return_counts=True)
+    middle = np.column_stack([np.bincount(number, axis) / count for axis in corners.place.T])
+    radius = np.zeros(len(count))
+    np.maximum.at(radius, number, np.hypot(*(corners.place - middle[number]).T))
+    tree = cKDTree(middle)
+    total = WEIGHT * cell / tree.query_ball_point(middle, SHARING * cell, return_length=True)
+    crowd = 0.0
+    for i, near in enumerate(tree.query_ball_point(middle, meeting + radius + radius.max())):
+        apart = np.hypot(*(middle[near] - middle[i]).T)
+        crowd = max(crowd, float(total[near] @ (apart <= meeting + radius[i] + radius[near])))
+    return np.asarray((total / count)[number], dtype=np.float64), crowd
 
 
 def _lone_points(corners: CornerPoints, weight: Floats) -> SlaveSide:

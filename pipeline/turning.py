@@ -34,31 +34,52 @@ def sharp(ends: Floats, following: Ints) -> Ints:
     return np.flatnonzero(_turns(ends, following) > SHARP)
 
 
-def sharp_or_narrow(ends: Floats, following: Ints, spacing: float) -> Ints:
+def sharp_or_narrow(ends: Floats, following: Ints, spacing: float) -> tuple[Ints, Ints]:
     """The same, and those on roundings that turn by more than a sharp corner over a way of ``spacing``, m.
 
     Points of another surface that stand so far apart find a rounding of so small a radius, spacing/SHARP, late or
     never: for them it is a corner, spread over its vertices.
+
+    Returns
+    -------
+    at : (c,) int64
+        Numbers of the segments that end there, ascending.
+    rounding : (c,) int64
+        Vertices of one rounding have a number in common; every sharp corner has its own.
     """
     turns = _turns(ends, following)
     corners = turns > SHARP
-    length, smooth = np.hypot(*(ends[:, 1] - ends[:, 0]).T), np.where(corners, 0.0, turns)
+    length, smooth = _lengths(ends), np.where(corners, 0.0, turns)
+    rounding, roundings = np.arange(len(turns)), len(turns)
     for order, closed in _chains(following) if spacing > 0.0 else ():
-        turn = smooth[order]
-        narrow = (_turned(turn, length[order], spacing, closed) > SHARP) & (turn > STRAIGHT)
+        turn, reach = smooth[order], length[order]
+        narrow = (_turned(turn, reach, spacing, closed) > SHARP) & (turn > STRAIGHT)
+        goes_on = narrow & np.roll(narrow, 1) & (reach <= spacing)
+        goes_on[0] &= closed
+        number = np.cumsum(~goes_on)
+        number[number == 0] = number[-1]  # the seam of a closed chain
         part = np.floor(np.cumsum(np.where(narrow, turn, 0.0)) / EVERY)
-        corners[order[narrow & (np.diff(part, prepend=-1.0) > 0.0)]] = True
-    return np.flatnonzero(corners)
+        taken = narrow & ((np.diff(part, prepend=-1.0) > 0.0) | ~goes_on)
+        corners[order[taken]] = True
+        rounding[order[narrow]] = roundings + number[narrow]
+        roundings += len(order) + 1
+    at = np.flatnonzero(corners)
+    return at, rounding[at]
 
 
-def narrowest(ends: Floats, following: Ints, spacing: float) -> float:
-    """The smallest radius, m, of what sticks out beside sharp corners, over a way of ``spacing``, m; or infinite."""
-    turns, most = _turns(ends, following), 0.0
-    length, smooth = np.hypot(*(ends[:, 1] - ends[:, 0]).T), np.where(turns > SHARP, 0.0, turns)
-    for order, closed in _chains(following):
-        turned = _turned(smooth[order], length[order], spacing, closed)
-        most = max(most, float(turned.max()))
-    return spacing / most if most > STRAIGHT else float("inf")
+def most_turned(ends: Floats, following: Ints, spacing: float) -> float:
+    """The largest angle by which what sticks out turns over a way of ``spacing``, m, sharp corners left out."""
+    turns = _turns(ends, following)
+    length, smooth = _lengths(ends), np.where(turns > SHARP, 0.0, turns)
+    return max(
+        (float(_turned(smooth[k], length[k], spacing, closed).max()) for k, closed in _chains(following)),
+        default=0.0,
+    )
+
+
+def _lengths(ends: Floats) -> Floats:
+    """(s,) Of segments, m."""
+    return np.asarray(np.hypot(*(ends[:, 1] - ends[:, 0]).T))
 
 
 def _turns(ends: Floats, following: Ints) -> Floats:
@@ -73,16 +94,24 @@ def _turns(ends: Floats, following: Ints) -> Floats:
 def _turned(turn: Floats, length: Floats, spacing: float, closed: bool) -> Floats:
     """(k,) By what angle a chain turns within half the spacing of the end of each of its segments.
 
-    Each turn is spread from the middle of its segment to that of the next one, as that of an arc is.
+    Each turn is spread over half of the shorter segment beside it on either side: over all of an arc of equal chords,
+    but not along the flanks beside a rounding.
     """
-    at, turns, way, lap = np.cumsum(length), turn, spacing, 1
-    if closed:
-        lap, way = 3, min(spacing, float(at[-1]))
-        turns = np.tile(turn, lap)
-    middle = np.cumsum(np.tile(length, lap)) - 0.5 * np.tile(length, lap)
-    until = np.cumsum(turns) - turns
-    here = at + (at[-1] if closed else 0.0)
-    return np.asarray(np.interp(here + 0.5 * way, middle, until) - np.interp(here - 0.5 * way, middle, until))
+    beyond = np.roll(length, -1)
+    if not closed:
+        beyond[-1] = length[-1]
+    half, at, turns, start = 0.5 * np.minimum(length, beyond), np.cumsum(length), turn, 0.0
+    way = min(spacing, float(at[-1])) if closed else spacing
+    where = at
+    if closed:  # its last lap, itself, and its next one
+        start = float(at[-1])
+        turns, half = np.tile(turn, 3), np.tile(half, 3)
+        where = np.concatenate([at, at + start, at + 2.0 * start])
+    places = np.column_stack([where - half, where + half]).ravel()
+    until = np.cumsum(turns)
+    sums = np.column_stack([until - turns, until]).ravel()
+    here = at + start
+    return np.asarray(np.interp(here + 0.5 * way, places, sums) - np.interp(here - 0.5 * way, places, sums))
 
 
 def _chains(following: Ints) -> Iterator[tuple[Ints, bool]]:

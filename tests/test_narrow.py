@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_corners import landing
+from test_corners import UP, landing
 from test_pairs import body, prepared_of, run
 
 from phantomnode.pipeline.case import case_from_table
 from phantomnode.pipeline.coarse import coarse_slaves
+from phantomnode.pipeline.corner_points import WEIGHT
 from phantomnode.pipeline.gaps import initial_gaps
 from phantomnode.pipeline.preflight import text_report
 from phantomnode.pipeline.prepare import prepare
 from phantomnode.pipeline.summary import run_checks
 from phantomnode.pipeline.tally import Tally
-from phantomnode.pipeline.turning import EVERY, SHARP, narrowest, sharp, sharp_or_narrow
+from phantomnode.pipeline.turning import EVERY, SHARP, most_turned, sharp, sharp_or_narrow
 
 CELL = 0.1
 LOWER_HALF = [[-0.02, -0.03], [0.02, -0.015]]
@@ -35,12 +36,13 @@ def circle(radius, count, start=0.0):
 def test_a_circle_is_narrow_where_it_turns_by_twenty_degrees_between_points(count):
     """By any number of chords; of very many, one vertex in 2.5 degrees."""
     ends, following = closed(circle(1.0, count))
-    assert len(sharp_or_narrow(ends, following, 0.9 * SHARP)) == 0
-    found = sharp_or_narrow(ends, following, 1.3 * SHARP)
+    assert len(sharp_or_narrow(ends, following, 0.9 * SHARP)[0]) == 0
+    found, rounding = sharp_or_narrow(ends, following, 1.3 * SHARP)
+    assert len(set(rounding)) == 1  # the seam of the chain is none
     assert len(found) == pytest.approx(min(count, 2.0 * np.pi / EVERY), rel=0.05)
     step = np.max(np.diff([*found, found[0] + count])) * 2.0 * np.pi / count
     assert step < max(2.0 * np.pi / count, EVERY) * 1.5  # all around, the seam of the chain included
-    assert narrowest(ends, following, 1.3 * SHARP) == pytest.approx(1.0, rel=0.2)
+    assert most_turned(ends, following, 1.3 * SHARP) == pytest.approx(1.3 * SHARP, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -54,7 +56,7 @@ def test_a_circle_is_narrow_where_it_turns_by_twenty_degrees_between_points(coun
 )  # fmt: skip
 def test_what_is_straight_or_no_corner_stays(name, points, narrow):
     ends, following = closed(points)
-    found = sharp_or_narrow(ends, following, 0.4)
+    found, _ = sharp_or_narrow(ends, following, 0.4)
     assert len(set(found) - set(sharp(ends, following))) == narrow, name
 
 
@@ -65,9 +67,59 @@ def test_an_open_curve_is_followed_from_its_free_end():
     points = np.vstack([[[-1.0, 0.0], [-0.5, 0.0]], bend, [[0.0, -1.0]]])[::-1]
     ends = np.stack([points[:-1], points[1:]], axis=1)
     following = np.array([*range(1, len(ends)), -1])
-    found = sharp_or_narrow(ends, following, 0.1)
+    found, rounding = sharp_or_narrow(ends, following, 0.1)
+    assert len(set(rounding)) == 1
     assert len(found) > 0 and np.all(np.abs(ends[found, 1]).max(axis=1) < 0.021)
-    assert len(sharp_or_narrow(ends, following, 0.0)) == 0
+    assert len(sharp_or_narrow(ends, following, 0.0)[0]) == 0
+
+
+@pytest.mark.parametrize("turns", [(19.0, 19.0), (15.0, 15.0, 15.0), (19.0, 15.0, 19.0)])
+@pytest.mark.parametrize("pieces", [1, 50])
+def test_a_short_rounding_between_long_flanks_is_one(turns, pieces):
+    """Of edges of 2 mm between flanks of 1 m, in one piece or many, for points 58 mm apart; no vertex is sharp."""
+    steps = np.radians(np.cumsum([-0.5 * sum(turns), *turns]))
+    lengths = [1.0, *[0.002] * (len(turns) - 1), 1.0]
+    points = np.cumsum(
+        [[0.0, 0.0], *(n * np.array([np.cos(a), np.sin(a)]) for n, a in zip(lengths, steps, strict=True))],
+        axis=0,
+    )
+    flank = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+    first, last = points[0] + flank * (points[1] - points[0]), points[-2] + flank * (points[-1] - points[-2])
+    points = np.vstack([first, points[2:-2], last])
+    ends, following = np.stack([points[:-1], points[1:]], axis=1), np.array([*range(1, len(points) - 1), -1])
+    found, rounding = sharp_or_narrow(ends, following, 0.058)
+    assert found.tolist() == [*range(pieces - 1, pieces - 1 + len(turns))] and len(set(rounding)) == 1
+    assert most_turned(ends, following, 0.058) == pytest.approx(np.radians(sum(turns)))
+
+
+def test_fillets_of_a_tip_s_neighbours_leave_it_its_weight():
+    """Three corners 2.5 cells apart, two of them rounded: vertices of a rounding share the weight of one corner."""
+
+    def fillet(x):
+        angle = np.radians(np.linspace(0.0, 90.0, 12))
+        return [[x + 0.02 * np.sin(a), -0.25 - 0.02 + 0.02 * np.cos(a)] for a in angle]
+
+    right, left = fillet(0.23), [[-x, y] for x, y in reversed(fillet(0.23))]
+    outline = [[0.25, -0.6], *reversed(right), [0.013, -0.02], *reversed(left), [-0.25, -0.6]]
+    prepared = landing({"polyline": {"points": outline}})
+    contact, k = prepared.model.contact, prepared.pairs[0].corners[0]
+    weight = contact.slave_weight[contact.slave_first[k] : contact.slave_first[k + 1]]
+    assert weight.max() == pytest.approx(WEIGHT * CELL) and np.sum(weight == weight.max()) == 1
+    assert weight.sum() == pytest.approx(3.0 * WEIGHT * CELL) and contact.crowd[k] == pytest.approx(
+        weight.sum()
+    )
+
+
+def test_an_obstacle_acts_the_same_however_its_flanks_are_drawn():
+    """The wedge in three points, and with 2,000 pieces on each flank; the same but for the rounding of its places."""
+    impulses = []
+    for pieces in (1, 3, 2000):
+        part = np.linspace(0.0, 1.0, pieces + 1)[:, None]
+        a, b, c = np.array(UP["polyline"]["points"])
+        points = np.vstack([a + part * (b - a), (b + part * (c - b))[1:]])
+        prepared = landing({"polyline": {"points": points.tolist()}}, end=0.05)
+        impulses.append(run(prepared, 100)[-1].pair_impulse[0])
+    np.testing.assert_allclose(impulses[1:], [impulses[0]] * 2, rtol=1e-6, atol=1e-6 * impulses[0][1])
 
 
 @pytest.mark.parametrize("radius", [0.01, 0.04, 0.12])
@@ -129,7 +181,8 @@ def test_coarse_slaves_are_told_before_the_run():
     swapped = slab_on_pin(slave="pin.outer", master="slab.outer")
     assert [*coarse_slaves(prepare(case_from_table(swapped)))] == []
     (told,) = coarse_slaves(landing({"circle": {"centre": [0.0, -0.06], "radius": 0.05}}))
-    assert "below has roundings of 0.05 m radius" in told and "cells of 0.03 m do" in told
+    assert "below turns by 66 degrees between points of block.bottom, 0.058 m apart" in told
+    assert "cells of 0.03 m do" in told
     assert [*coarse_slaves(landing({"circle": {"centre": [0.0, -0.9], "radius": 0.8}}))] == []
 
 
@@ -149,7 +202,7 @@ def test_cells_of_the_slave_do_not_cut_the_master_away():
     )  # the lattice of the slab's cells
     contact = prepared.model.contact
     for k in prepared.pairs[0].corners:
-        assert contact.offset[contact.slave_first[k]] <= 0.01 * (0.004 if contact.sign[k] < 0.0 else 0.25)
+        assert contact.offset[contact.slave_first[k]] <= 0.01 * 0.004
 
 
 def test_bodies_that_part_are_told_and_those_at_rest_are_not():
