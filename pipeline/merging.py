@@ -5,6 +5,24 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+Path = tuple[str, ...]
+
+NAMED = frozenset(
+    {
+        ("material",),
+        ("grid",),
+        ("body",),
+        ("interface",),
+        ("contact",),
+        ("rigid",),
+        ("boundary",),
+        ("figure",),
+        ("variant",),
+        ("output", "profile"),
+    }
+)
+"""Tables whose keys are names that the user gave: whatever they are, they say nothing of a kind."""  # fmt: skip
+
 KINDS = (
     frozenset({"file", "rectangle", "circle", "ring", "polygon", "polyline", "function"}),
     frozenset({"displacement", "velocity", "acceleration", "traction", "pressure"}),
@@ -23,17 +41,19 @@ BESIDE = {
 """Keys that say something of another one only, and go with it."""
 
 
-def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with some keys changed; tables within it key by key.
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any], path: Path = ()) -> dict[str, Any]:
+    """A table with some keys changed; tables within it key by key. ``path`` leads to it from the case.
 
     Where a key says of which kind something is, that of the table goes: a polygon takes the place of a circle, and a
     table of another ``kind`` that of the whole one.
     """
-    if "kind" in changes and changes["kind"] != table.get("kind"):
-        return dict(changes)
-    kept = {key: value for key, value in table.items() if key not in _replaced(table, changes)}
+    kept = dict(table)
+    if path not in NAMED:
+        if "kind" in changes and changes["kind"] != table.get("kind"):
+            return dict(changes)
+        kept = {key: value for key, value in table.items() if key not in _replaced(table, changes)}
     both = {
-        key: merged(kept[key], value)
+        key: merged(kept[key], value, (*path, key))
         for key, value in changes.items()
         if isinstance(value, Mapping) and isinstance(kept.get(key), Mapping)
     }

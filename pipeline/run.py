@@ -185,14 +185,17 @@ def run_all(
     """
     from phantomnode.pipeline.case import variants
     from phantomnode.pipeline.figures import draw_figures
+    from phantomnode.pipeline.prepare import prepare
 
-    folder = Path(out)
-    if not resume:
-        for _ in prepared_variants(case):  # what is wrong with any of them is told before the first step
-            pass
+    folder, limit = Path(out), wall_limit_from(wall_limit, time.perf_counter())
     cases = {"": (case, folder)}
     cases |= {name: (variant, folder / VARIANTS / name) for name, variant in variants(case).items()}
-    limit = wall_limit_from(wall_limit, time.perf_counter())
+    if case.variant and not resume:  # what is wrong with any of them is told before the first step
+        _refuse_source_folder(case, folder)
+        check_threads(threads)
+        for name, (one, _) in cases.items():
+            with _told_of(name):
+                stations(prepare(one))
     runs: dict[str, Path] = {}
     summaries: list[Summary] = []
     for name, (one, place) in cases.items():
@@ -225,7 +228,9 @@ def prepared_variants(case: Case) -> Iterator[tuple[str, Prepared]]:
 
     for name, variant in variants(case).items():
         with _told_of(name):
-            yield name, prepare(variant)
+            prepared = prepare(variant)
+            stations(prepared)  # a line that meets no body is told now
+            yield name, prepared
 
 
 def _label(case: Case) -> str:

@@ -207,7 +207,7 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
         touched = f"touches {contact_spans(figures, name)}" if phases else "never touches"
         yield f"{name} {touched}{breaks if touches > len(phases) else ''}."
         if phases:
-            impulse, slave = figures["contact_impulse"][name], figures["slave"][name]
+            impulse, slave = figures["contact_impulse"][name], figures.get("slave", {}).get(name, "the slave")
             yield (
                 f"{name}: impulse on {slave} {_vector(impulse, _largest(impulse))} N s/m; peak force "
                 f"{figures['peak_contact_force'][name] * peak:.4g} {unit}, that of a single step: compare runs by "

@@ -8,7 +8,8 @@ import pytest
 
 from phantomnode.pipeline import cli
 from phantomnode.pipeline.case import case_from_table, variants
-from phantomnode.pipeline.merging import merged
+from phantomnode.pipeline.merging import NAMED, merged
+from phantomnode.pipeline.schema import Case, Output
 
 CASE = """
 time = { end = 3e-4 }
@@ -66,6 +67,40 @@ geometry = { circle = { centre = [0.0, -0.1], radius = 0.1 } }
 )
 def test_a_variant_changes_keys_and_replaces_what_is_of_another_kind(table, changes, both) -> None:
     assert merged(table, changes) == both
+
+
+def test_names_that_users_give_are_of_no_kind() -> None:
+    """Boundaries called displacement and pressure, bodies called ring and circle, a grid cell: none is lost."""
+    import typing
+
+    table = {
+        "boundary": {
+            "displacement": {"on": "ring.left", "displacement": {"x": 0}},
+            "file": {"pressure": 1.0},
+        },
+        "body": {"ring": {"material": "value"}, "kind": {"material": "times_E"}},
+        "grid": {"cell": {"kind": "cartesian", "cell": 0.1}},
+        "output": {"profile": {"circle": {"quantity": "J"}}},
+    }
+    changes = {
+        "boundary": {"pressure": {"on": "ring.top", "pressure": 1.0}},
+        "body": {"circle": {"material": "value"}, "kind": {"material": "value"}},
+        "grid": {"counts": {"kind": "polar"}},
+        "output": {"profile": {"ring": {"quantity": "J"}}},
+    }
+    both = merged(table, changes)
+    assert {path: [*both[path]] for path in table} == {
+        "boundary": ["displacement", "file", "pressure"],
+        "body": ["ring", "kind", "circle"],
+        "grid": ["cell", "counts"],
+        "output": ["profile"],
+    }
+    assert [*both["output"]["profile"]] == ["circle", "ring"] and both["body"]["kind"] == {
+        "material": "value"
+    }
+    hints = typing.get_type_hints(Case) | {f"output.{k}": v for k, v in typing.get_type_hints(Output).items()}
+    named = {name for name, hint in hints.items() if typing.get_origin(hint) is dict}
+    assert {".".join(path) for path in NAMED} == named
 
 
 def test_a_variant_can_have_another_obstacle() -> None:
