@@ -10,9 +10,6 @@ import shapely
 from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.prepare import Floats, Ints, Prepared
 
-ALONG = 1e-9
-"""Of the speed at which surfaces pass each other: what closes or opens less is rounding."""
-
 
 class Gap(NamedTuple):
     """How far the slave of a pair is from its master.
@@ -26,26 +23,6 @@ class Gap(NamedTuple):
     master: Floats
 
 
-def meeting_time(prepared: Prepared, number: int, gap: Gap) -> float:
-    """When the surfaces of a pair meet, s, as they fly on at their first velocities.
-
-    Along the shortest way between them; a prescribed motion counts by its first step. Infinite where the way stays as
-    it is, negative where it grows.
-    """
-    velocity = prepared.velocity
-    held = prepared.model.channel >= 0
-    rates = prepared.motion.increments(0, 1, prepared.dt)[0] / prepared.dt
-    velocity[held] = rates[prepared.model.channel[held]]
-    contact, k = prepared.model.contact, prepared.pairs[number].passes[0]
-    sides = (contact.slave_nodes, contact.slave_first), (contact.master_nodes, contact.master_first)
-    slave, master = (
-        velocity[np.unique(nodes[first[k] : first[k + 1]])].mean(axis=0) for nodes, first in sides
-    )
-    way, meets = gap.master - gap.slave, slave - master
-    closing = float(meets @ way) / gap.distance if gap.distance > 0.0 else 0.0
-    return gap.distance / closing if abs(closing) > ALONG * float(np.hypot(*meets)) else float("inf")
-
-
 def initial_gaps(prepared: Prepared) -> list[Gap | None]:
     """The gap of each pair at the start; None for self contact, whose two surfaces are one.
 
@@ -56,14 +33,25 @@ def initial_gaps(prepared: Prepared) -> list[Gap | None]:
         if pair.slave == pair.master:
             found.append(None)
             continue
-        slave = ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
-        # Points see the master with its sharp corners cut off; these are points of their own.
-        master = np.concatenate([master_ends(prepared, pair.passes[0]), _corners(prepared, pair)])
+        slave, master = slave_surface(prepared, pair), master_surface(prepared, pair)
         # From either side: what is nearest may be a corner of the one or of the other.
         way = min(_shortest(slave, master), _shortest(master, slave)[::-1], key=_length)
         depth = float(contact.offset[pair.points].max(initial=0.0))
         found.append(Gap(-depth if depth > 0.0 else _length(way), *way))
     return found
+
+
+def slave_surface(prepared: Prepared, pair: Pair) -> Floats:
+    """(s, 2, 2) Ends of the segments of the slave of a pair, m."""
+    return ends_of(prepared, pair.segment_nodes, pair.start_shape, pair.end_shape)
+
+
+def master_surface(prepared: Prepared, pair: Pair) -> Floats:
+    """(m, 2, 2) Ends of the segments of its master, m, and its sharp corners, segments without length.
+
+    Points see the master with its corners cut off; these are points of their own.
+    """
+    return np.concatenate([master_ends(prepared, pair.passes[0]), _corners(prepared, pair)])
 
 
 def _shortest(ends: Floats, others: Floats) -> Floats:

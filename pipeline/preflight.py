@@ -9,9 +9,10 @@ import numpy as np
 
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.pipeline.census import Wall, areas, doubled_cells, pair_penalty, step_set_by, wall
+from phantomnode.pipeline.closing import closing_velocity, meeting_time
 from phantomnode.pipeline.coarse import coarse_slaves
 from phantomnode.pipeline.drawing import moment
-from phantomnode.pipeline.gaps import Gap, initial_gaps, meeting_time
+from phantomnode.pipeline.gaps import Gap, initial_gaps
 from phantomnode.pipeline.prepare import Body, Floats, Prepared
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.trust import CELLS_ADVISED, THROUGH_WALL
@@ -168,18 +169,23 @@ def _advice(
 
 
 def _meets(prepared: Prepared, number: int, gap: Gap | None) -> float:
-    """When a pair meets by the first velocities, s; infinite where it keeps its gap, negative where it parts."""
+    """When a pair meets by the first velocities, s; infinite where it never does."""
     return np.inf if gap is None else meeting_time(prepared, number, gap)
 
 
 def _never_or_late(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[str]:
-    """A warning of each pair that, by the first velocities, moves apart or meets after the end of the run."""
+    """A warning of each pair that, by the first velocities, never meets or meets after the end of the run."""
     end = prepared.case.time.end
-    for pair, (_, time) in zip(prepared.pairs, gaps, strict=True):
+    for number, (pair, (gap, time)) in enumerate(zip(prepared.pairs, gaps, strict=True)):
         if end < time < np.inf:
             yield f"contact {pair.name}: the two meet at {moment(time)}, after the end of the run, {moment(end)}"
-        elif time < 0.0:
-            yield f"contact {pair.name}: the two move apart at first, and nothing meets unless something turns them"
+        elif (
+            time == np.inf
+            and gap is not None
+            and gap.distance > 0.0
+            and closing_velocity(prepared, number).any()
+        ):
+            yield f"contact {pair.name}: by their first velocities the two never meet: something must turn them"
 
 
 def _thin_walls(prepared: Prepared, walls: list[Wall]) -> Iterator[str]:
@@ -240,7 +246,7 @@ def _pair_rows(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iter
         counts = str(len(pair.segment_nodes)), str(pair.points.stop - pair.points.start), str(corners)
         stiffness = f"{pair_penalty(prepared, pair):.4g}" + (" (two passes)" if len(pair.passes) == 2 else "")
         apart = "-" if gap is None else f"{gap.distance:.3g}"  # self contact has none
-        meets = moment(time) if 0.0 <= time < np.inf else "-"
+        meets = moment(time) if time < np.inf else "-"
         yield pair.name, pair.slave, pair.master, *counts, stiffness, f"{pair.friction:g}", apart, meets
 
 

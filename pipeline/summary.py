@@ -230,7 +230,8 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         advice = "take a stiffer penalty"
         if cells[worst, 0] > COARSE * cells[worst, 1]:
             pair = prepared.pairs[worst]
-            advice = f"make {pair.master} the slave of {pair.name}: its cells are smaller; or passes = 2"
+            other = "; or passes = 2" if len(pair.passes) == 1 else ""
+            advice = f"make {pair.master} the slave of {pair.name}: its cells are smaller{other}"
         elif tally.corner_depth[worst] == tally.penetration[worst]:
             felt = bool(prepared.pairs[worst].corners)
             cure = "take a stiffer penalty or smaller cells" if felt else "leave out corners = false"

@@ -14,9 +14,10 @@ from phantomnode.geometry.readers import read_geometry
 from phantomnode.pipeline import cad_picture, cli, cli_files, console
 from phantomnode.pipeline.bodies import cut_body
 from phantomnode.pipeline.case import load_case
+from phantomnode.pipeline.closing import meeting_time
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.gaps import initial_gaps, meeting_time
+from phantomnode.pipeline.gaps import initial_gaps
 from phantomnode.pipeline.prepare import prepare
 
 

@@ -8,6 +8,7 @@ from test_corners import UP, landing
 from test_pairs import body, prepared_of, run
 
 from phantomnode.pipeline.case import case_from_table
+from phantomnode.pipeline.closing import meeting_time
 from phantomnode.pipeline.coarse import coarse_slaves
 from phantomnode.pipeline.corner_points import WEIGHT
 from phantomnode.pipeline.gaps import initial_gaps
@@ -205,8 +206,36 @@ def test_cells_of_the_slave_do_not_cut_the_master_away():
         assert contact.offset[contact.slave_first[k]] <= 0.01 * 0.004
 
 
+NEVER = "by their first velocities the two never meet"
+
+
 def test_bodies_that_part_are_told_and_those_at_rest_are_not():
     table = slab_on_pin(slave="pin.outer", master="slab.outer")
     for speed, told in ((5.0, True), (0.0, False), (-5.0, False)):
         table["body"]["slab"]["initial_velocity"] = [0.0, speed]
-        assert ("the two move apart at first" in text_report(prepare(case_from_table(table)))) is told
+        assert (NEVER in text_report(prepare(case_from_table(table)))) is told
+
+
+def test_a_ball_in_a_ring_meets_the_far_side_and_one_that_passes_is_told():
+    """The nearest side of the ring is behind the ball: 1.4 m ahead at 10 m/s. Beside it a ball passes, .1 m away."""
+    table = {
+        "time": {"end": 1.0},
+        "material": {"steel": {"E": 210e9, "nu": 0.3, "rho": 7800.0}},
+        "body": {
+            "ball": {
+                "geometry": {"circle": {"centre": [-0.5, 0.0], "radius": 0.1}},
+                "grid": {"kind": "cartesian", "cell": 0.05},
+                "material": "steel",
+                "initial_velocity": [10.0, 0.0],
+            }
+        },
+        "rigid": {"wall": {"geometry": {"circle": {"centre": [0.0, 0.0], "radius": 1.0}}, "side": "right"}},
+        "contact": {"c": {"slave": "ball.outer", "master": "wall"}},
+    }
+    prepared = prepare(case_from_table(table))
+    (gap,) = initial_gaps(prepared)
+    assert gap is not None and gap.distance == pytest.approx(0.4, rel=1e-4)
+    assert meeting_time(prepared, 0, gap) == pytest.approx(0.14, rel=1e-3)
+    assert NEVER not in text_report(prepared)
+    table["rigid"]["wall"] = {"geometry": {"circle": {"centre": [1.0, 0.7], "radius": 0.5}}}
+    assert NEVER in text_report(prepare(case_from_table(table)))
