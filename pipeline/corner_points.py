@@ -8,7 +8,8 @@ coarse cells a rounding of the master, or all of a pin, is such a corner: betwee
 
 The tip of a wedge in a flat face is pushed back along the normal of the face, by its corner. A slave point that
 stands in the tip would be pushed out through a flank instead, aside: with a sharp tip twice as hard as back. For all
-other points corners of the master are therefore cut off, .15 of a cell before the tip.
+other points corners of the master are therefore cut off, .15 of a cell before the tip. Its ends are rounded:
+a point of a face that lies on a flank and slides past its end would be pushed aside at once.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ ALLOWED = 0.01
 """Depth, in the smaller cells of the two sides, up to which a corner feels nothing: in equal cells what a pressure of
 E/20 takes at the automatic penalty, 5 E/h."""
 
-CUT_OFF = 0.15
+CUT_OFF = 0.19
 """Of the smaller cell of the two sides: how far before a corner it is cut off on either side."""
 
 BESIDE = 0.9
@@ -56,6 +57,9 @@ width bear each other to their ends."""
 
 MOST = 0.45
 """Of the way to the next corner that may be cut off: it is cut off, too."""
+
+PARTS = (0.8, 0.12, 0.08)
+"""Of the depth, by which corners are cut off one time after the other: of 135 degrees 17 are left at each vertex."""
 
 ALMOST = 0.98
 """Of a segment: what is left of it when more is cut off is not worth a segment."""
@@ -124,7 +128,7 @@ def with_corners(
             xy, first = side.xy, side.nodes.start
         else:
             xy, first = cut[side.body].mesh.xy, first_node[side.body]
-        found.append(replace(each, master=cut_off(each.master, xy[each.master.nodes - first], depth)))
+        found.append(replace(each, master=rounded_off(each.master, xy, first, depth)))
     if isinstance(master, Rigid):
         theirs, widest = rigid_corners(master, spacing), 0.0
     else:
@@ -170,17 +174,30 @@ def body_corners(body: CutBody, chosen: Ints, first_node: int, spacing: float = 
     return CornerPoints(nodes, shape(segments.local[at, 1]), segments.ends[at, 1], rounding)
 
 
-def cut_off(side: MasterSide, x: Floats, depth: float) -> MasterSide:
+def rounded_off(side: MasterSide, xy: Floats, first_node: int, depth: float) -> MasterSide:
+    """The masters with sharp corners cut off, and then those that the cuts make, within a depth of the corner, m.
+
+    A slave point that slides past a corner is turned little by little. Parameters are those of :func:`cut_off`.
+    """
+    for part in PARTS:
+        side = cut_off(side, xy, first_node, part * depth)
+    return side
+
+
+def cut_off(side: MasterSide, xy: Floats, first_node: int, depth: float) -> MasterSide:
     """The masters with sharp corners cut off by a segment more for each, or by two where cells meet at the corner.
 
     Parameters
     ----------
     side : MasterSide
-    x : (m, 4, 2) float64, metres
-        The nodes of its segments in the reference configuration.
+    xy : (n, 2) float64, metres
+        Nodes of its body or obstacle in the reference configuration.
+    first_node : int
+        Number of the first of them in the side.
     depth : float, m
         How far before a corner on either side; less where a segment is short. 0 leaves corners as they are.
     """
+    x = xy[side.nodes - first_node]
     ends = np.stack([np.einsum("si,sia->sa", at, x) for at in (side.start, side.end)], axis=1)
     length, corners = np.hypot(*(ends[:, 1] - ends[:, 0]).T), sharp(ends, side.following)
     start, end, following = side.start.copy(), side.end.copy(), side.following.tolist()
@@ -191,11 +208,10 @@ def cut_off(side: MasterSide, x: Floats, depth: float) -> MasterSide:
     onward[corners] = -1
     for s in corners if depth > 0.0 else ():
         ways = [(int(k), links) for k, links in ((s, backward), (side.following[s], onward))]
-        deep = [min(depth, MOST * _straight(k, depth / MOST, length, links)) for k, links in ways]
+        deep = min(depth, *(MOST * _straight(k, depth / MOST, length, links) for k, links in ways))
         for far in (True, False):  # over several cells, or, where no segment can join those, within one
             (a, back, passed), (b, on, skipped) = (
-                _way(k, far_back, length, side.nodes, links, far)
-                for (k, links), far_back in zip(ways, deep, strict=True)
+                _way(k, deep, length, side.nodes, links, far) for k, links in ways
             )
             first = (1.0 - back) * side.end[a] + back * side.start[a]
             last = (1.0 - on) * side.start[b] + on * side.end[b]

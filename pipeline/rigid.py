@@ -24,6 +24,9 @@ CHORD_ERROR = 1e-3
 """Distance of an obstacle's segments from its curve, in cells of the finest body that touches it: of the order of
 the penetration under a light load, a thousandth of what the cut of a body leaves out of a curve of few cells."""
 
+STRAIGHT = 1e-9
+"""A vertex that turns by less, in radians, stands on a straight line: a thousand times what doubles round."""
+
 
 @dataclass(frozen=True)
 class Rigid:
@@ -88,7 +91,7 @@ def rigid_obstacles(
             curves = tuple(_facing(curve, table.side) for curve in curves)
             extent = max(float(np.max(curve.box[1] - curve.box[0])) for curve in curves)
             error = CHORD_ERROR * min(cells, default=extent)
-            chains = [curve.polyline(error) for curve in curves]
+            chains = [_turning(curve.polyline(error), curve.closed) for curve in curves]
         rigid = _joined(name, curves, chains, first_node)
         first_node = rigid.nodes.stop
         made.append(rigid)
@@ -100,6 +103,20 @@ def _facing(curve: Curve, side: str) -> Curve:
     if curve.closed and curve.signed_area < 0.0:
         curve = curve.reversed()
     return curve if side == "left" else curve.reversed()
+
+
+def _turning(chain: Floats, closed: bool) -> Floats:
+    """The vertices, (n, 2), without those that stand on a straight line: pieces of one are one segment."""
+    along = np.diff(chain, axis=0)
+    before = np.roll(along, 1, axis=0)
+    cross = before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0]
+    size = np.hypot(*before.T) * np.hypot(*along.T)
+    stays = (np.abs(cross) > STRAIGHT * size) | (np.sum(before * along, axis=1) < 0.0)
+    if not closed:
+        stays[0] = True
+        return np.asarray(chain[np.append(stays, True)])
+    kept = chain[:-1][stays]
+    return np.vstack([kept, kept[:1]])
 
 
 def _joined(name: str, curves: tuple[Curve, ...], chains: list[Floats], first_node: int) -> Rigid:
