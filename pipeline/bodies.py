@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from phantomnode.geometry import grid as grids
 from phantomnode.geometry import mapped, shapes
-from phantomnode.geometry.curves import Curve, Geometry, Region
+from phantomnode.geometry.curves import Curve, Geometry, Region, diagonal
 from phantomnode.geometry.cut import cut
 from phantomnode.geometry.doubling import CutMesh, double
 from phantomnode.geometry.errors import GeometryError, OutlineError
@@ -20,6 +20,7 @@ from phantomnode.geometry.findings import complaint, open_ends
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.geometry.noding import Lattice
 from phantomnode.geometry.relocate import relocate
+from phantomnode.geometry.units import size_note
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.errors import CaseError
 from phantomnode.pipeline.expressions import ExpressionError, parse
@@ -34,6 +35,7 @@ from phantomnode.pipeline.shapes import (
 )
 
 Floats = NDArray[np.float64]
+Texts = tuple[str, ...]
 
 CHORD_ERROR = 1e-6
 """A function y(x) is followed by straight lines within this part of its width."""
@@ -55,7 +57,9 @@ class CutBody:
         Number of relocated grid nodes.
     mesh : CutMesh
     notes : tuple of str
-        What was mended in the drawing, what the grid is too coarse for.
+        What was mended in the drawing, and what of it does not count.
+    warnings : tuple of str
+        What the grid is too coarse for, and a size that was hardly meant.
     """
 
     regions: tuple[Region, ...]
@@ -64,6 +68,7 @@ class CutBody:
     relocated: int
     mesh: CutMesh
     notes: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def cut_body(case: Case, name: str, drawings: Drawings) -> CutBody:
@@ -75,7 +80,7 @@ def cut_body(case: Case, name: str, drawings: Drawings) -> CutBody:
         With the key of the body, grid or interface at fault.
     """
     with at(case, f"body.{name}.geometry"):
-        regions, notes = _regions(drawings, case.body[name].geometry)
+        regions, notes, doubts = _regions(drawings, case.body[name].geometry)
     interfaces: list[tuple[str, Curve]] = []
     for label, interface in case.interface.items():
         if interface.body == name:
@@ -93,11 +98,12 @@ def cut_body(case: Case, name: str, drawings: Drawings) -> CutBody:
     if case.integration.cut == 1:
         triangles, owner = centroid_fans(mesh.triangles, mesh.triangle_element)
         mesh = replace(mesh, triangles=triangles, triangle_element=owner)
-    notes = tuple(
-        f"body {name}: {note}" for note in (*notes, *mesh.notes, *_resolution(mesh, len(loops), interfaces))
+    told, warnings = (
+        tuple(f"body {name}: {text}" for text in texts)
+        for texts in (notes, (*doubts, *mesh.notes, *_resolution(mesh, len(loops), interfaces)))
     )
     moved = int(np.count_nonzero(relocation.fate.moved))
-    return CutBody(regions, tuple(interfaces), relocation.grid, moved, mesh, notes)
+    return CutBody(regions, tuple(interfaces), relocation.grid, moved, mesh, told, warnings)
 
 
 COARSE = 0.6
@@ -131,9 +137,10 @@ def at(case: Case, key: str) -> Iterator[None]:
         raise CaseError(f"{case.name}: {key}: {error}") from error
 
 
-def _regions(drawings: Drawings, geometry: BodyGeometry) -> tuple[tuple[Region, ...], tuple[str, ...]]:
-    """The outlines of a body, placed, with the reader's notes."""
+def _regions(drawings: Drawings, geometry: BodyGeometry) -> tuple[tuple[Region, ...], Texts, Texts]:
+    """The outlines of a body, placed, with the reader's notes and its doubts about the size."""
     source = _drawing(drawings, geometry)
+    doubt = size_note(diagonal([*(r.outer for r in source.regions), *source.curves]), source.unit)
     if not source.regions:
         raise OutlineError(
             f"there is no closed outline, and a body needs one; {open_ends(source.curves, source.unit)}",
@@ -145,9 +152,10 @@ def _regions(drawings: Drawings, geometry: BodyGeometry) -> tuple[tuple[Region, 
         raise OutlineError(complaint(source.findings, source.unit), source)
     elif geometry.file is not None and source.curves:
         note = f"{len(source.curves)} curves of {geometry.file} are no part of an outline and are left out"
-        source = replace(source, curves=(), notes=(*source.notes, note))
-    placed = shapes.placed(source, geometry.move, geometry.rotate, geometry.scale)
-    return placed.regions, source.notes
+        source = replace(source, notes=(*source.notes, note))
+    placed = shapes.placed(replace(source, curves=()), geometry.move, geometry.rotate, geometry.scale)
+    notes = tuple(note for note in source.notes if note != doubt)
+    return placed.regions, notes, (doubt,) if doubt in source.notes else ()
 
 
 def _chosen(source: Geometry, region: str | int) -> tuple[Region, ...]:

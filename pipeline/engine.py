@@ -33,6 +33,9 @@ CONNECT = 10.0
 """How long to look for a scheduler, s."""
 PULSE = 0.5
 """Between two looks for a signal while no case ends, s."""
+WORKERLESS = 30.0
+"""How long to wait for dask to start a worker again, s. It does not where one dies before it is all there: all are
+then started anew."""
 GRACE = 20.0
 """How long cases that are asked to end have for their checkpoints, s; queues that end a job wait for about 30 s."""
 
@@ -245,6 +248,7 @@ class _Round:
         self._events: queue.SimpleQueue[tuple[int, Future[Any] | None]] = queue.SimpleQueue()
         self._underway = dict[int, "Future[Any]"]()
         self._rounds = dict[int, int]()
+        self._staffed = time.monotonic()
 
     def outcomes(self) -> Iterator[tuple[int, Outcome] | None]:
         """Submit all and collect what becomes of them."""
@@ -258,11 +262,23 @@ class _Round:
             try:
                 place, future = self._events.get(timeout=PULSE)
             except queue.Empty:
+                self._staff()
                 yield None
                 continue
             if place in self._underway:
                 yield from self._heard(place, future)
         self._client.unsubscribe_topic(topic)
+
+    def _staff(self) -> None:
+        """Start workers of this machine anew where there has been none for a while; those of a scheduler may come."""
+        cluster = self._client.cluster
+        if cluster is None or self._client.nthreads():
+            self._staffed = time.monotonic()
+        elif time.monotonic() - self._staffed > WORKERLESS:
+            count = len(cluster.workers)
+            cluster.scale(0)
+            cluster.scale(count)
+            self._staffed = time.monotonic()
 
     def _submit(self, places: Sequence[int]) -> None:
         keys = [f"case-{self._orders[p].batch}-{p}-{self._rounds.get(p, 0)}" for p in places]

@@ -148,7 +148,9 @@ def report(prepared: Prepared, variants: Sequence[tuple[str, ...]] = ()) -> Rend
     parts.append(_table(("run", ""), _run_rows(prepared)))
     if variants:
         parts.append(_table(("variant", "steps", "step", "time", "to look at"), iter(variants)))
-    return Group(*parts, *(f"[yellow]warning[/] {_escaped(text)}" for text in _advice(prepared, walls, gaps)))
+    notes = (f"note    {_escaped(text)}" for text in prepared.notes)
+    warnings = (f"[yellow]warning[/] {_escaped(text)}" for text in _advice(prepared, walls, gaps))
+    return Group(*parts, *notes, *warnings)
 
 
 def _gaps(prepared: Prepared) -> list[tuple[Gap | None, float]]:

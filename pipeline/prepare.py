@@ -89,7 +89,9 @@ class Prepared:
     dt : float, s
         The step that the run takes.
     warnings : tuple of str
-        Resolution limits and the like, to be shown and logged.
+        Resolution limits and the like, which want a look before the result is trusted.
+    notes : tuple of str
+        What was mended in the drawings, and what of them does not count.
     xfem : MassMatrix or None
         The mass matrix of classic X-FEM, where the case asks for it.
     rigids : tuple of Rigid
@@ -105,6 +107,7 @@ class Prepared:
     estimate: StepEstimate
     dt: float
     warnings: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     xfem: MassMatrix | None = None
     rigids: tuple[Rigid, ...] = ()
 
@@ -162,11 +165,14 @@ def prepare(case: Case) -> Prepared:
     if case.method == "xfem":
         model, estimate, xfem = classic_xfem(case, bodies, model)
     dt = run_step(case, estimate)
-    notes = (note for body in cut.values() for note in body.notes)
-    warnings = (*notes, *thin, *unpaired(case, cut), *too_fast(case), *heavy_bodies(bodies, model))
+    notes = tuple(note for body in cut.values() for note in body.notes)
+    coarse = (warning for body in cut.values() for warning in body.warnings)
+    warnings = (*coarse, *thin, *unpaired(case, cut), *too_fast(case), *heavy_bodies(bodies, model))
     pairs = reported_pairs(case, cut, passes)
     boundaries, motion = tuple(held.boundaries), held.motion
-    return Prepared(case, bodies, pairs, boundaries, model, motion, estimate, dt, warnings, xfem, rigids)
+    return Prepared(
+        case, bodies, pairs, boundaries, model, motion, estimate, dt, warnings, notes, xfem, rigids
+    )
 
 
 def _cut(case: Case, name: str, drawings: Drawings) -> CutBody:

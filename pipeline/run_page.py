@@ -17,7 +17,7 @@ from phantomnode.pipeline.packing import Packed
 from phantomnode.pipeline.page_charts import history_charts, pressure_charts
 from phantomnode.pipeline.pages import Picture, Table, picture_in, picture_of, render, titled
 from phantomnode.pipeline.results import Results
-from phantomnode.pipeline.trust import Finding, contact_spans, findings, trusted
+from phantomnode.pipeline.trust import Finding, contact_spans, findings, remarks, trusted
 from phantomnode.pipeline.view_data import view_data
 
 NO_PART = 1e-4
@@ -70,7 +70,7 @@ def run_page(
         title=results.title,
         trusted=trusted(found),
         status=f"Run {figures.get('status', 'not ended')}",
-        lead=_lead(found, figures.get("still_closing", ())),
+        lead=_lead(found, remarks(figures)),
         bodies=list(_bodies(results)),
         acting=list(_acting(results)),
         findings=found,
@@ -87,11 +87,11 @@ def run_page(
     )
 
 
-def _lead(found: list[Finding], closing: Sequence[str]) -> str:
-    """What is to be looked at, in one line."""
+def _lead(found: list[Finding], besides: Sequence[str]) -> str:
+    """What is to be looked at, in one line, and what the verdict says besides."""
     bad = [finding.subject.lower() for finding in found if not finding.passed]
     text = f"To look at: {', '.join(bad)}." if bad else "Every check is kept; the figures are below."
-    return f"{text} It ends while {' and '.join(closing)} still closes." if closing else text
+    return f"{text} The run: {'; '.join(besides)}." if besides else text
 
 
 def _bodies(results: Results) -> Iterator[dict[str, str]]:

@@ -20,7 +20,7 @@ from phantomnode.pipeline.observer import Ending
 from phantomnode.pipeline.prepare import Prepared
 from phantomnode.pipeline.scaling import added_mass
 from phantomnode.pipeline.tally import Tally, pair_bodies, small_elements
-from phantomnode.pipeline.trust import beyond_checks, contact_spans
+from phantomnode.pipeline.trust import beyond_checks, contact_spans, remarks
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -136,6 +136,7 @@ def summarize(
         "mass": {body.name: float(prepared.model.mass[body.nodes].sum()) for body in prepared.bodies},
         "added_mass": {body.name: added_mass(body, prepared.model) for body in prepared.bodies},
         "warnings": list(prepared.warnings),
+        "notes": list(prepared.notes),
     }
     checks: tuple[Check, ...] = ()
     if last is not None:
@@ -144,6 +145,7 @@ def summarize(
         closing = [pair.name for k, pair in enumerate(prepared.pairs) if tally.still_closing(k)]
         # One that was stopped is told what to do for that.
         figures["still_closing"] = closing if ending.status == "done" else []
+        figures["never_touches"] = _never_touching(prepared, tally) if ending.status == "done" else []
         figures["bearing_at_end"] = [pair.name for k, pair in enumerate(prepared.pairs) if tally.bearing(k)]
         named = [(body.name, one) for body, one in zip(prepared.bodies, highest, strict=False)]
         figures["highest_von_mises"] = {name: one.stress for name, one in named}
@@ -271,7 +273,8 @@ def highlights(figures: dict[str, Any]) -> list[str]:
     lines = []
     for name, phases in figures.get("contact_phases", {}).items():
         word = "phase" if len(phases) == 1 else "phases"
-        lines.append(f"contact   {name}: {len(phases)} {word} {contact_spans(figures, name)}".rstrip())
+        spans = f"{len(phases)} {word} {contact_spans(figures, name)}" if phases else "never touches"
+        lines.append(f"contact   {name}: {spans}")
         if phases:
             x, y = figures["contact_impulse"][name]
             lines.append(f"          impulse on {figures['slave'][name]} ({x:.4g}, {y:.4g}) N s/m")
@@ -307,6 +310,16 @@ def _cells(prepared: Prepared, pair: int) -> tuple[float, float]:
     """
     slave, master = pair_bodies(prepared, pair)
     return slave.grid.typical_size, (master or slave).grid.typical_size
+
+
+def _never_touching(prepared: Prepared, tally: Tally) -> list[str]:
+    """Pairs of different bodies, or of one and an obstacle, that have borne no force."""
+    sides = (pair_bodies(prepared, k) for k in range(len(prepared.pairs)))
+    return [
+        pair.name
+        for k, (pair, (slave, master)) in enumerate(zip(prepared.pairs, sides, strict=True))
+        if slave is not master and not tally.touches(k)
+    ]
 
 
 def _plain(value: Any) -> Any:
@@ -353,11 +366,5 @@ def _where(summary: Summary) -> list[str]:
 
 
 def _heading(summary: Summary) -> str:
-    if not summary.trusted:
-        return "look before you trust it"
-    closing = summary.figures.get("still_closing", ())
-    return (
-        f"can be trusted, but ends while {' and '.join(closing)} still closes"
-        if closing
-        else "can be trusted"
-    )
+    word = "can be trusted" if summary.trusted else "look before you trust it"
+    return "; ".join([word, *(remarks(summary.figures) if summary.status == "done" else ())])

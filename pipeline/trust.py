@@ -56,10 +56,26 @@ def doubtful(figures: dict[str, Any]) -> tuple[str, ...]:
 
 
 def open_end(figures: dict[str, Any]) -> str:
-    """That a run ends before contact does, in a few words for a table; "" where nothing touches at its end."""
+    """That a run ends before contact does, or has none, in a few words for a table; else ""."""
     if figures.get("still_closing"):
         return "ends while still closing"
-    return "ends in contact" if figures.get("bearing_at_end") else ""
+    if figures.get("bearing_at_end"):
+        return "ends in contact"
+    return "never touches" if figures.get("never_touches") else ""
+
+
+def remarks(figures: dict[str, Any]) -> list[str]:
+    """What the verdict says besides: pairs that still close or bear at the end of a run, and that never touch."""
+    closing, never = figures.get("still_closing", ()), figures.get("never_touches", ())
+    bearing = [name for name in figures.get("bearing_at_end", ()) if name not in closing]
+    found = []
+    if closing:
+        found.append(f"ends while {' and '.join(closing)} still closes")
+    if bearing:
+        found.append(f"ends with {' and '.join(bearing)} in contact")
+    if never:
+        found.append(f"{' and '.join(never)} never touches")
+    return found
 
 
 def contact_spans(figures: dict[str, Any], pair: str) -> str:
@@ -171,6 +187,8 @@ def _mesh(figures: dict[str, Any]) -> Iterator[Finding]:
     yield from _walls(figures)
     for warning in figures["warnings"]:
         yield Finding(False, "Warning", f"{warning}.")
+    for note in figures.get("notes", ()):
+        yield Finding(True, "Drawing", f"{note}.")
 
 
 def _walls(figures: dict[str, Any]) -> Iterator[Finding]:

@@ -366,6 +366,24 @@ def test_a_worker_that_dies_takes_only_its_case_with_it(tmp_path: Path) -> None:
     assert ended["good"].status == ended["better"].status == DONE
 
 
+def test_workers_that_dask_does_not_start_again_are_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker that dies while its nanny still starts it is not started again: the batch would wait for ever."""
+    from distributed import Status
+
+    monkeypatch.setattr("phantomnode.pipeline.engine.WORKERLESS", 1.0)
+    orders = [Order("", str(tmp_path / name), name, "b") for name in ("bad", "good")]
+    with client_of(Crew(1, 1, None), tmp_path) as client:
+        found = []
+        for news in outcomes(client, orders, Stopping(), batch_workers.deadly):
+            if news and not found:  # the first worker runs the bad case
+                for nanny in client.cluster.workers.values():
+                    nanny.status = Status.starting
+            found += [news] if news else []
+    assert {place: outcome.status for place, outcome in found} == {0: FAILED, 1: DONE}
+
+
 def test_a_scheduler_that_runs_already_serves_a_batch(sweep: Path, tmp_path: Path) -> None:
     """A scheduler and a worker, two processes started by hand."""
     from distributed import Client
