@@ -33,7 +33,7 @@ CONNECT = 10.0
 """How long to look for a scheduler, s."""
 PULSE = 0.5
 """Between two looks for a signal while no case ends, s."""
-WORKERLESS = 30.0
+WORKERLESS = 15.0
 """How long to wait for dask to start a worker again, s. It does not where one dies before it is all there: all are
 then started anew."""
 GRACE = 20.0
@@ -275,7 +275,7 @@ class _Round:
         if cluster is None or self._client.nthreads():
             self._staffed = time.monotonic()
         elif time.monotonic() - self._staffed > WORKERLESS:
-            count = len(cluster.workers)
+            count = len(cluster.worker_spec)
             cluster.scale(0)
             cluster.scale(count)
             self._staffed = time.monotonic()

@@ -366,6 +366,7 @@ def test_a_worker_that_dies_takes_only_its_case_with_it(tmp_path: Path) -> None:
     assert ended["good"].status == ended["better"].status == DONE
 
 
+@pytest.mark.slow
 def test_workers_that_dask_does_not_start_again_are_started(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
