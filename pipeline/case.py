@@ -115,7 +115,9 @@ def variants(case: Case) -> dict[str, Case]:
         try:
             if "variant" in changes:
                 raise CaseError("variant: a variant has none of its own")
-            found[name] = case_from_table(merged(base, {"title": f"{case.title}: {name}", **changes}))
+            found[name] = case_from_table(
+                merged(base, {"title": f"{case.title or case.name}: {name}", **changes})
+            )
         except CaseError as error:
             raise CaseError([f"variant.{name}: {message}" for message in error.messages]) from error
     return found

@@ -25,7 +25,10 @@ KNOWN = (*QUANTITIES, PRESSURE, *HISTORIES, LEVEL_SET, NODES)
 """All pictures, beside those of single columns of history.csv."""
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 NEAR = 1e-6
-"""A frame within this part of the run of the time that was asked for is that time."""
+"""A time may be beyond the last frame by this part of the run."""
+
+SAME = 0.05
+"""Of the time between two frames: one that is no farther from the time that was asked for is not told as another."""
 
 
 def picture(
@@ -244,6 +247,6 @@ def _said_of(results: Results, times: Sequence[Time]) -> str:
             told.append(f"{moment(found)}: the frame of the largest internal energy; --time chooses another")
         elif not isinstance(time, str):
             found = float(results.times[results.nearest(time)])
-            if abs(found - time) > NEAR * float(results.times[-1]):
+            if abs(found - time) > SAME * float(results.times[-1]) / max(len(results.times) - 1, 1):
                 told.append(f"{_exact(time)}: no frame; drawn is the nearest, {_exact(found)}")
     return "; ".join(told)

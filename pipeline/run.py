@@ -95,7 +95,6 @@ def run(
     WriteError
         Where a result cannot be written: an OSError that says what to do.
     """
-    from phantomnode.kernels import kept
     from phantomnode.pipeline.prepare import prepare
 
     began, folder, notes = time.perf_counter(), Path(out), list[str]()
@@ -106,8 +105,7 @@ def run(
     if resume and (finished := finished_run(case, folder, notes)) is not None:
         _tell(console, [f"finished already: {folder}"])
         return finished
-    if not kept("phantomnode.solver"):
-        _tell(console, ["compiling the kernels, which are kept: half a minute or so, this once"])
+    _tell_of_compiling(console)
     prepared = prepare(case)
     LOG.info("prepared in %.2f s", time.perf_counter() - began)
     if LOG.isEnabledFor(logging.INFO):
@@ -277,6 +275,7 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
     from phantomnode.pipeline.preview import preview_vtu
 
     folder = Path(out)
+    _tell_of_compiling(console)
     with drawn_where_refused(folder):
         prepared = prepare(case)
     stations(prepared)  # a line that meets no body is told now
@@ -288,6 +287,14 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
         console.print(report(prepared, others))
         console.print(f"pictures  {folder / 'preview.png'}, {folder / 'preview.vtu'}", soft_wrap=True)
     return prepared
+
+
+def _tell_of_compiling(console: Console | None) -> None:
+    """Why the first command after an installation takes longer."""
+    from phantomnode.kernels import kept
+
+    if not kept("phantomnode.solver"):
+        _tell(console, ["compiling the kernels, which are kept: half a minute or so, this once"])
 
 
 def check_threads(threads: int) -> None:
