@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from phantomnode.pipeline.ledger import Ledger
-from phantomnode.pipeline.names import word
+from phantomnode.pipeline.names import said
 from phantomnode.pipeline.one_case import DONE
 from phantomnode.pipeline.outputs import in_words, named, output_of, unit_of, unit_of_key
 from phantomnode.pipeline.sweep import Plot
@@ -53,13 +53,13 @@ def curves(ledger: Ledger, plot: Plot) -> Curves:
         for name, axis in axes.items()
         if name not in together
         and not axis.random
-        and len({word(point.values[name]) for point in ledger.study.points}) > 1
+        and len({said(point.values[name]) for point in ledger.study.points}) > 1
     ]
     found: Curves = {}
     for point, outcome in zip(ledger.study.points, ledger.outcomes, strict=True):
         y = output_of(outcome.figures, plot.y) if outcome.status == DONE else None
         if y is not None:
-            label = ", ".join(f"{name} {word(point.values[name])}" for name in others)
+            label = ", ".join(f"{name} {said(point.values[name])}" for name in others)
             found.setdefault(label, []).append((point.values[plot.x], y))
     return {label: sorted(points) if _numeric(points) else points for label, points in found.items()}
 
@@ -87,7 +87,7 @@ def _draw(plot: Plot, found: Curves, x_unit: str, title: str, path: Path) -> Non
     axes = figure.add_subplot()
     factor, unit = readable(np.array([y for points in found.values() for _, y in points]), unit_of(plot.y))
     for label, points in found.items():
-        x = [value if _numeric(points) else word(value) for value, _ in points]
+        x = [value if _numeric(points) else said(value) for value, _ in points]
         axes.plot(x, [factor * y for _, y in points], marker="o", markersize=4.0, linewidth=1.0, label=label)
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.set(xlabel=named(in_words(plot.x), x_unit), ylabel=named(in_words(plot.y), unit), title=title)

@@ -164,11 +164,7 @@ def cases_page(asked: Asked, cases: Sequence[Compared], home: Path, drawn: Seque
     done = sum(case.status == DONE for case in cases)
     look = [case for case in cases if case.doubts]
     varied = [_varied(name, [case.inputs[name] for case in cases], asked) for name in axes if name != "run"]
-    pictures = [
-        *(picture_in(file, titled(file)) for file in drawn),
-        *_plots(home, asked),
-        *_gallery(cases),
-    ]
+    pictures = [*(picture_in(file, titled(file)) for file in drawn), *_plots(home, asked)]
     laid = overlay({case.name: case.folder for case in cases})
     return render(
         "cases.html",
@@ -185,6 +181,7 @@ def cases_page(asked: Asked, cases: Sequence[Compared], home: Path, drawn: Seque
             {"name": case.name, "text": f"{case.status}: {case.reason}"} for case in cases if case.reason
         ],
         pictures=pictures,
+        gallery=_gallery(cases),
     )
 
 
@@ -245,8 +242,9 @@ def _checks(case: Compared) -> Cell:
 def _comparison(cases: Sequence[Compared], asked: Asked) -> dict[str, Any]:
     """What the chart draws: axes and outputs, a value a case; first the outputs that were asked for."""
 
-    def rank(name: str) -> tuple[bool, bool]:
-        return name not in asked.outputs, not name.startswith(SHOWN)
+    def rank(name: str) -> tuple[bool, int]:
+        tells = [k for k, begin in enumerate(SHOWN) if name.startswith(begin)]
+        return name not in asked.outputs, tells[0] if tells else len(SHOWN)
 
     return {
         "axes": [

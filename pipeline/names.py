@@ -32,6 +32,11 @@ def unique_names(choices: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def said(value: Any) -> str:
+    """A value for people to read: a name as it was given, numbers and lists as in the names of folders."""
+    return value if isinstance(value, str) else word(value)
+
+
 def word(value: Any) -> str:
     """A value as part of a name; six significant digits of a number."""
     if isinstance(value, bool):
