@@ -336,8 +336,9 @@
       view.colour(Number(field.value), Number(low.value), Number(high.value));
       element("bar-low").textContent = short(Number(low.value));
       const { unit, range } = data.fields[field.value];
-      const beyond = range[1] > Number(high.value) ? ` and more, up to ${short(range[1])}` : "";
-      element("bar-high").textContent = `${short(Number(high.value))}${beyond} ${unit}`;
+      const [most, top] = [short(Number(high.value)), short(range[1])];
+      const beyond = range[1] > Number(high.value) && most !== top ? ` and more, up to ${top}` : "";
+      element("bar-high").textContent = `${most}${beyond} ${unit}`;
       show();
     };
     const choose = () => {
