@@ -130,26 +130,29 @@ def _pressures(figure: Figure, runs: Sequence[Shown]) -> Drawn:
     values = np.concatenate([curve.columns[what] for curve in data])
     factor, unit = readable(values, "Pa")
     touched = np.concatenate([c.columns["arc_length"][c.columns[what] > 0.0] for c in data] or [np.zeros(0)])
+    arcs = np.concatenate([curve.columns["arc_length"] for curve in data])
+    scale, arc_unit = readable(touched if len(touched) else arcs, "m")
     by_case = (figure.curves or ("cases" if len(runs) > 1 else "times")) == "cases"
     picture, panels = _panels(data, by_case)
     for panel, curves in panels:
         for curve in curves:
             label = curve.case if by_case else curve.label
+            label += "" if curve.columns[what].any() else " (no contact)"
             panel.plot(
-                curve.columns["arc_length"],
+                curve.columns["arc_length"] * scale,
                 curve.columns[what] * factor,
                 lw=1.2,
                 marker=".",
                 ms=3,
                 label=label,
             )
-        panel.set_xlabel("arc length along the undeformed surface, m")
+        panel.set_xlabel(f"arc length along the undeformed surface, {arc_unit}")
         if values.min() == 0.0:
             panel.set_ylim(bottom=0.0)
         panel.set_ylabel(f"contact pressure, {unit}")
         if len(touched):
             space = 0.1 * float(np.ptp(touched)) + 1e-12
-            panel.set_xlim(touched.min() - space, touched.max() + space)
+            panel.set_xlim(scale * (touched.min() - space), scale * (touched.max() + space))
     return Drawn(picture, data)
 
 
