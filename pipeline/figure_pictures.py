@@ -268,11 +268,16 @@ def _panels(data: Sequence[Curve], by_case: bool) -> tuple[Picture, list[tuple[A
 
 
 def _add_legends(picture: Picture) -> None:
-    """A legend in each panel that has several curves."""
-    for panel in picture.axes:
-        labels = panel.get_legend_handles_labels()[1]
-        if len(labels) > 1:
-            panel.legend(frameon=False, fontsize=8)
+    """A legend in each panel that has several curves; beside them all where they have the same curves."""
+    several = [panel for panel in picture.axes if len(panel.get_legend_handles_labels()[1]) > 1]
+    kinds = {tuple(panel.get_legend_handles_labels()[1]) for panel in several}
+    if len(several) > 1 and len(kinds) == 1:
+        picture.legend(
+            *several[0].get_legend_handles_labels(), frameon=False, fontsize=8, loc="outside right upper"
+        )
+        return
+    for panel in several:
+        panel.legend(frameon=False, fontsize=8)
 
 
 def _columns(runs: int, times: int) -> int:
