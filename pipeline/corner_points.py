@@ -350,7 +350,8 @@ def _shared(corners: CornerPoints, cell: float, meeting: float) -> tuple[Floats,
     tree = cKDTree(middle)
     total = WEIGHT * cell / tree.query_ball_point(middle, SHARING * cell, return_length=True)
     crowd = 0.0
-    for i, near in enumerate(tree.query_ball_point(middle, meeting + radius + radius.max())):
+    for i in range(len(count)):  # one by one: all lists of thousands of teeth would fill the memory
+        near = tree.query_ball_point(middle[i], meeting + radius[i] + radius.max())
         apart = np.hypot(*(middle[near] - middle[i]).T)
         crowd = max(crowd, float(total[near] @ (apart <= meeting + radius[i] + radius[near])))
     return np.asarray((total / count)[number], dtype=np.float64), crowd
