@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phantomnode.geometry.curves import Curve
 from phantomnode.geometry.units import metres
 
-Kind = Literal["gap", "short", "twice", "branch", "crossing", "self"]
+Kind = Literal["gap", "short", "twice", "branch", "crossing", "self", "overlap"]
 
 HEALED: dict[Kind, str] = {
     "short": "curves of no length were left out",
@@ -26,6 +26,7 @@ HEALED: dict[Kind, str] = {
 WRONG: dict[Kind, str] = {
     "self": "an outline crosses or touches itself",
     "crossing": "two outlines cross or share a stretch",
+    "overlap": "the two sides of a contact pair overlap",
 }
 """What cannot be healed."""
 

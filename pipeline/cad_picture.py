@@ -31,7 +31,7 @@ SMALLEST_LABEL = 0.01
 
 @contextmanager
 def drawn_where_refused(folder: Path) -> Iterator[None]:
-    """Draw the geometry of a case that is refused for its outlines, and name the picture in the message."""
+    """Draw the geometry of a case that is refused for its outlines or overlaps, and name the picture."""
     try:
         yield
     except CaseError as error:
@@ -40,7 +40,7 @@ def drawn_where_refused(folder: Path) -> Iterator[None]:
             raise
         picture = folder / "problem.png"
         make_folder(folder)
-        draw_geometry(refused.geometry, picture, "Outlines that cannot be used")
+        draw_geometry(refused.geometry, picture, "What cannot be used as it is")
         raise CaseError(tuple(f"{message}; drawn in {picture}" for message in error.messages)) from error
 
 

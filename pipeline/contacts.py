@@ -13,7 +13,7 @@ from phantomnode.pipeline.bodies import CutBody
 from phantomnode.pipeline.contact_tables import Contact as ContactTable
 from phantomnode.pipeline.contact_tables import Penalty
 from phantomnode.pipeline.corner_points import with_corners
-from phantomnode.pipeline.errors import CaseError
+from phantomnode.pipeline.errors import OverlapError
 from phantomnode.pipeline.pairing import NOBODY, ContactPass, SlaveSide, master_side, slave_side
 from phantomnode.pipeline.rigid import Rigid
 from phantomnode.pipeline.schema import Case
@@ -267,19 +267,22 @@ def offsets(case: Case, cut: dict[str, CutBody], passes: list[ContactPass], mode
         inside = _inside(case, cut, table, each, model, k)
         worst = int(np.argmax(np.maximum(depth, inside)))
         deepest = float(max(depth[worst], inside[worst]))
-        here = f"({middle[worst, 0]:.6g}, {middle[worst, 1]:.6g}) m"
+        at = float(middle[worst, 0]), float(middle[worst, 1])
+        here = "({:.6g}, {:.6g}) m".format(*at)
         if deepest <= max(each.allowed, OVERLAP * cut[_owner(table.slave, case)].grid.cell_size):
             continue
         if table.overlap == "refuse":
-            raise CaseError(
+            raise OverlapError(
                 f"contact.{name}: {table.slave} and {table.master} overlap at the start by {deepest:.3g} m near "
                 f"{here}: {_remedy(case, table)}, or measure gaps from this state "
-                '(overlap = "offset")'
+                '(overlap = "offset")',
+                at,
             )
         if deepest > contact.reach[k] / 2.0:
-            raise CaseError(
+            raise OverlapError(
                 f"contact.{name}: {table.slave} lies {deepest:.3g} m deep in {table.master} near {here}, more than "
-                f"half a cell, which no offset can stand for: {_remedy(case, table)}"
+                f"half a cell, which no offset can stand for: {_remedy(case, table)}",
+                at,
             )
         found[points] += depth
     return found

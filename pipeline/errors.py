@@ -17,3 +17,17 @@ class CaseError(ValueError):
     def __init__(self, messages: str | Sequence[str]) -> None:
         self.messages = (messages,) if isinstance(messages, str) else tuple(messages)
         super().__init__("\n".join(self.messages))
+
+
+class OverlapError(CaseError):
+    """The two sides of a contact pair are in each other at the start.
+
+    Attributes
+    ----------
+    at : (float, float)
+        Where they are deepest, m.
+    """
+
+    def __init__(self, message: str, at: tuple[float, float]) -> None:
+        super().__init__(message)
+        self.at = at

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phantomnode.geometry.curves import Curve, Region
+from phantomnode.geometry.curves import Curve, Geometry, Region
 from phantomnode.geometry.doubling import CutMesh
+from phantomnode.geometry.errors import OutlineError
+from phantomnode.geometry.findings import Finding
 from phantomnode.geometry.grid import BackgroundGrid
 from phantomnode.pipeline.bodies import CutBody, cut_body
 from phantomnode.pipeline.boundaries import Boundary, Conditions, conditions
 from phantomnode.pipeline.contacts import Pair, contact_passes, offsets, own_reach, reported_pairs
 from phantomnode.pipeline.drawings import Drawings
 from phantomnode.pipeline.elements import ElementLists, element_lists
+from phantomnode.pipeline.errors import OverlapError
 from phantomnode.pipeline.meeting import too_fast, unpaired
 from phantomnode.pipeline.motion import PrescribedMotion
 from phantomnode.pipeline.pairing import ContactPass, joined_contact
@@ -158,7 +163,8 @@ def prepare(case: Case) -> Prepared:
     model = _model(lists, rigids, passes, held)
     contact, thin = own_reach(case, model)
     model = model._replace(contact=contact)
-    model = model._replace(contact=contact._replace(offset=offsets(case, cut, passes, model)))
+    with _shown_where_overlapping(cut, rigids):
+        model = model._replace(contact=contact._replace(offset=offsets(case, cut, passes, model)))
     jump = largest_jump(case, held.motion)
     model = scaled(case, model, jump)
     estimate, xfem = stable_step(model, case.time.safety, jump), None
@@ -173,6 +179,18 @@ def prepare(case: Case) -> Prepared:
     return Prepared(
         case, bodies, pairs, boundaries, model, motion, estimate, dt, warnings, notes, xfem, rigids
     )
+
+
+@contextmanager
+def _shown_where_overlapping(cut: dict[str, CutBody], rigids: tuple[Rigid, ...]) -> Iterator[None]:
+    """Give an overlap the bodies and obstacles as its cause, to be drawn."""
+    try:
+        yield
+    except OverlapError as error:
+        regions = tuple(region for body in cut.values() for region in body.regions)
+        curves = tuple(curve for rigid in rigids for curve in rigid.curves)
+        shown = Geometry(regions, curves, findings=(Finding("overlap", error.at),))
+        raise error from OutlineError(str(error), shown)
 
 
 def _cut(case: Case, name: str, drawings: Drawings) -> CutBody:

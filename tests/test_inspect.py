@@ -213,6 +213,20 @@ def test_check_draws_where_an_outline_is_wrong(
     assert is_png(tmp_path / "out" / "problem.png")
 
 
+def test_check_draws_where_bodies_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A disc, 1 mm deep in a floor; between the middles of its segments a little less."""
+    drawing(tmp_path / "d.dxf", lambda space: space.add_circle((0, 9), 10))
+    obstacle = (
+        "[rigid.floor]\ngeometry = { polyline = { points = [[-0.02, 0.0], [0.02, 0.0]] } }\nside = 'right'\n"
+    )
+    contact = "[contact.c]\nslave = 'part.outer'\nmaster = 'floor'\n"
+    (tmp_path / "case.toml").write_text(CASE + obstacle + contact)
+    assert cli.check(str(tmp_path), out=tmp_path / "out") == console.INPUT_AT_FAULT
+    message = capsys.readouterr().err
+    assert "part.outer and floor overlap at the start by 0.0009" in message and "problem.png" in message
+    assert is_png(tmp_path / "out" / "problem.png")
+
+
 @pytest.mark.parametrize(
     ("region", "area"), [("2", 100 * np.pi), ('"bolt"', 100 * np.pi), ("1", 2400 - 25 * np.pi)]
 )
