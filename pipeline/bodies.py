@@ -106,6 +106,8 @@ def cut_body(case: Case, name: str, drawings: Drawings) -> CutBody:
     return CutBody(regions, tuple(interfaces), relocation.grid, moved, mesh, told, warnings)
 
 
+FEW = 10
+"""Elements that are no body."""
 COARSE = 0.6
 """A body of which more than this part of the elements is cut is hardly thicker than a cell."""
 
@@ -113,7 +115,9 @@ COARSE = 0.6
 def _resolution(mesh: CutMesh, loops: int, interfaces: list[tuple[str, Curve]]) -> list[str]:
     """Warnings of a body that its grid hardly resolves, and of interfaces that cut nothing."""
     notes = []
-    if mesh.cut.mean() > COARSE:
+    if len(mesh.cut) < FEW:
+        notes.append(f"it has {len(mesh.cut)} elements: are the cell and the unit of its drawing right")
+    elif mesh.cut.mean() > COARSE:
         notes.append(
             f"{mesh.cut.sum()} of its {len(mesh.cut)} elements are cut: it is hardly thicker than a cell; "
             "use smaller cells"

@@ -234,9 +234,8 @@ def _support(
 
 def support_penalty(penalty: str | Penalty | None, young: float, cell: float) -> float:
     """The penalty of weak supports, Pa/m."""
-    if penalty is None or isinstance(penalty, str):
-        return SUPPORT_PENALTY * young / cell
-    return penalty.value if penalty.value is not None else float(penalty.times_E or 0.0) * young
+    auto = SUPPORT_PENALTY * young / cell
+    return auto if penalty is None or isinstance(penalty, str) else penalty.stiffness(auto, young)
 
 
 def _add_load(

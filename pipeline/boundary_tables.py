@@ -105,7 +105,8 @@ class Boundary(Table):
         | None
     ) = Field(
         default=None,
-        description='of the springs: "auto" (20 E/h), { times_E = 100 } or { value = 1e12 } in Pa/m',
+        description='of the springs: "auto" (20 E/h), { times_auto = 4 }, { times_E = 100 } or { value = 1e12 }, '
+        "Pa/m",
     )
 
     @model_validator(mode="after")

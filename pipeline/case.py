@@ -40,6 +40,9 @@ __all__ = [
 
 CASE_FILE, SWEEP_FILE = "case.toml", "sweep.toml"
 
+COMMA = re.compile(r"=\s*[-+]?\d+,\d+\s*(#.*)?$", re.MULTILINE)
+"""A number as it is written where a comma parts off the decimals."""
+
 
 def load_case(source: str | Path, overrides: Sequence[str] = ()) -> Case:
     """Read and validate a case.
@@ -207,7 +210,12 @@ def read_toml(file: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise CaseError(f"{file}: is not a text file in UTF-8, as TOML is") from error
     except tomllib.TOMLDecodeError as error:
-        raise CaseError(f"{file}: is not valid TOML: {error}") from error
+        hint = (
+            "; a number has a decimal point: 0.2, not 0,2"
+            if COMMA.search(file.read_text("utf-8-sig"))
+            else ""
+        )
+        raise CaseError(f"{file}: is not valid TOML: {error}{hint}") from error
 
 
 def default_name(file: Path) -> str:

@@ -10,8 +10,9 @@ from phantomnode.pipeline.values import Place, PlaceOrName, Positive, Switch, Ta
 
 
 class Penalty(Table):
-    """A penalty in multiples of Young's modulus."""
+    """A penalty in multiples of the automatic one or of Young's modulus, or as it is."""
 
+    times_auto: Positive | None = Field(default=None, description='penalty in those that "auto" stands for')
     times_E: Positive | None = Field(
         default=None, description="penalty, 1/m, in Young's moduli of the slave's body"
     )
@@ -19,8 +20,14 @@ class Penalty(Table):
 
     @model_validator(mode="after")
     def _one(self) -> Penalty:
-        self.exactly_one("times_E", "value")
+        self.exactly_one("times_auto", "times_E", "value")
         return self
+
+    def stiffness(self, auto: float, young: float) -> float:
+        """The penalty, Pa/m, where these are the automatic one, Pa/m, and Young's modulus, Pa."""
+        if self.value is not None:
+            return self.value
+        return self.times_auto * auto if self.times_auto is not None else float(self.times_E or 0.0) * young
 
 
 class SlavePoints(Table):
@@ -59,7 +66,10 @@ class Contact(Table):
     penalty: Annotated[
         Annotated[Literal["auto"], Tag("=text")] | Annotated[Penalty, Tag("=table")],
         Discriminator(kind_of_value),
-    ] = Field(default="auto", description='"auto" (5 E/h), { times_E = 100 } or { value = 1e12 } in Pa/m')
+    ] = Field(
+        default="auto",
+        description='"auto" (5 E/h), { times_auto = 4 }, { times_E = 100 } or { value = 1e12 }, Pa/m',
+    )
     friction: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0.0)] = Field(
         default=0.0, description="Coulomb's coefficient"
     )
@@ -68,7 +78,8 @@ class Contact(Table):
         Discriminator(kind_of_value),
     ] = Field(
         default="auto",
-        description='of the stick: "auto" (the normal penalty), { times_E = 100 } or { value = 1e12 } in Pa/m',
+        description='of the stick: "auto" (the normal penalty), { times_auto = 2 }, { times_E = 100 } or '
+        "{ value = 1e12 }, Pa/m",
     )
     points: SlavePoints = Field(
         default=SlavePoints(),

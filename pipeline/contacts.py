@@ -158,9 +158,8 @@ def _penalty(case: Case, table: ContactTable, cut: dict[str, CutBody]) -> float:
     """The penalty of a pair, Pa/m."""
     penalty, owners = table.penalty, [_owner(place, case) for place in (table.slave, table.master)]
     moduli = [case.material[case.body[owner].material].E for owner in owners if owner]
-    if isinstance(penalty, str):
-        return AUTO_PENALTY * min(moduli) / cut[owners[0]].grid.typical_size
-    return penalty.value if penalty.value is not None else float(penalty.times_E or 0.0) * moduli[0]
+    auto = AUTO_PENALTY * min(moduli) / cut[owners[0]].grid.typical_size
+    return auto if isinstance(penalty, str) else penalty.stiffness(auto, moduli[0])
 
 
 def _owner(place: str, case: Case) -> str:
@@ -177,8 +176,8 @@ def _tangential_penalty(case: Case, table: ContactTable, penalty: float) -> floa
     if not isinstance(given, Penalty):
         return penalty
     E = case.material[case.body[_owner(table.slave, case)].material].E
-    value = given.value if given.value is not None else float(given.times_E or 0.0) * E
-    return value / table_share(table)
+    share = table_share(table)
+    return given.stiffness(share * penalty, E) / share
 
 
 def _exclusion(body: CutBody, lengths: Floats) -> float:

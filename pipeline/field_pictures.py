@@ -114,6 +114,8 @@ class FieldPicture:
         Draw the undeformed outline.
     smooth : bool
         Means over neighbouring cells, in place of the values of the cells.
+    extremes : float64, optional
+        Values by which the colour bar shows that some lie beyond its ends; those of the frame unless given.
 
     Attributes
     ----------
@@ -131,6 +133,7 @@ class FieldPicture:
         outlines: bool = True,
         smooth: bool = False,
         width: float = 9.0,
+        extremes: Floats | None = None,
     ) -> None:
         self._what, self._title, self._smooth = quantity(name), title, smooth
         values = coloured(frame, self._what, smooth)
@@ -150,7 +153,8 @@ class FieldPicture:
         self._solid = solid(axes, frame.obstacles, self._solid_width)
         self._obstacles = lines(axes, frame.obstacles, color="0.35", linewidths=1.8)
         label = f"{self._what.label}{', smoothed' if smooth else ''}{', ' if unit else ''}{unit}"
-        self.figure.colorbar(self._cells[0], ax=axes, label=label, shrink=0.8, extend=_extend(values, limits))
+        beyond = ends_beyond(values if extremes is None else extremes, limits)
+        self.figure.colorbar(self._cells[0], ax=axes, label=label, shrink=0.8, extend=beyond)
         axes.set(xlim=box[:, 0], ylim=box[:, 1])
         self._axes = axes
         self._axes.set_title(self._heading(frame), fontsize=10)
@@ -184,7 +188,7 @@ def draw_field(frame: FieldsFrame, name: str, title: str = "", **options: Any) -
     return FieldPicture(frame, name, title, **options).figure
 
 
-def _extend(values: Floats, limits: Limits) -> str:
+def ends_beyond(values: Floats, limits: Limits) -> str:
     """Which ends of the colour bar have an arrow: where values lie beyond."""
     below, above = bool(values.min() < limits.low), bool(values.max() > limits.high)
     return {(0, 0): "neither", (0, 1): "max", (1, 0): "min", (1, 1): "both"}[below, above]

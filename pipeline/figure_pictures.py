@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from phantomnode.pipeline.curve_pictures import unit_of
 from phantomnode.pipeline.drawing import equal_axes, fill, lines, moment, new_figure, readable
 from phantomnode.pipeline.errors import CaseError
-from phantomnode.pipeline.field_pictures import Limits, limits_of, map_of, view_box
+from phantomnode.pipeline.field_pictures import Limits, ends_beyond, limits_of, map_of, view_box
 from phantomnode.pipeline.figure_checks import MISSED
 from phantomnode.pipeline.figure_sources import Shown
 from phantomnode.pipeline.figure_tables import TOTAL, Figure
@@ -95,9 +95,9 @@ def _fields(figure: Figure, runs: Sequence[Shown]) -> Drawn:
         data.append(Curve(run.label, "", _cell_columns(frame, figure.quantity or "", value)))
     for panel in panels[len(frames) :]:
         panel.set_axis_off()
-    picture.colorbar(
-        cells[0], ax=list(panels), label=f"{what.label}, {unit}" if unit else what.label, shrink=0.8
-    )
+    label = f"{what.label}, {unit}" if unit else what.label
+    beyond = ends_beyond(np.concatenate(values), limits)
+    picture.colorbar(cells[0], ax=list(panels), label=label, shrink=0.8, extend=beyond)
     return Drawn(picture, data)
 
 

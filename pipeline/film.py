@@ -77,11 +77,15 @@ def write_film(
     frames = list(results.frames())
     if not frames:
         raise CaseError(f"{results.path}: no frame is written yet")
+    values = [coloured(frame, field, smooth) for frame in frames]
+    extremes = np.array([(each.min(), each.max()) for each in values])
     if span is None:
-        span = joint_limits([limits_of(coloured(frame, field, smooth), field) for frame in frames], field)
+        span = joint_limits([limits_of(each, field) for each in values], field)
     if corners is None:
         corners = view_box(*frames)
-    picture = FieldPicture(frames[0], what, results.title, limits=span, box=corners, smooth=smooth)
+    picture = FieldPicture(
+        frames[0], what, results.title, limits=span, box=corners, smooth=smooth, extremes=extremes
+    )
     _even(picture, width)
     for _ in range(2):  # the layout of axes of equal scale settles in two passes
         picture.figure.canvas.draw()

@@ -13,6 +13,9 @@ from phantomnode.pipeline.schema import Case
 Floats = NDArray[np.float64]
 
 
+FASTEST = 25e3
+"""Of waves in a solid, m/s: 18 km/s in diamond."""
+
 TOLD = 4
 """Pairs that a warning names."""
 
@@ -49,6 +52,11 @@ def too_fast(case: Case) -> list[str]:
         material = case.material[name]
         modulus = material.E * (1.0 - material.nu) / ((1.0 + material.nu) * (1.0 - 2.0 * material.nu))
         wave = float(np.sqrt(modulus / material.rho))
+        if wave > FASTEST:
+            found.append(
+                f"waves in {name} run at {wave:.3g} m/s, faster than in any solid: are E = {material.E:g} Pa and "
+                f"rho = {material.rho:g} kg/m^3 right"
+            )
         if speed > wave:
             found.append(
                 f"{what}, faster than the waves in {name}, {wave:.3g} m/s: are E = {material.E:g} Pa and "

@@ -26,7 +26,7 @@ NAMED = frozenset(
 KINDS = (
     frozenset({"file", "rectangle", "circle", "ring", "polygon", "polyline", "function"}),
     frozenset({"displacement", "velocity", "acceleration", "traction", "pressure"}),
-    frozenset({"times_E", "value"}),
+    frozenset({"times_auto", "times_E", "value"}),
     frozenset({"cell", "counts"}),
 )
 """Keys of which a table has one: that of a variant takes the place of the one that the case has."""

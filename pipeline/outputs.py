@@ -64,7 +64,7 @@ KEY_UNITS = {
     "cell": "m", "radius": "m", "outer": "m", "inner": "m", "centre": "m", "low": "m", "high": "m", "move": "m",
     "rotate": "degrees", "end": "s", "step": "s", "E": "Pa", "rho": "kg/m^3", "initial_velocity": "m/s",
     "displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "gravity": "m/s^2", "pressure": "Pa",
-    "traction": "Pa", "penalty": "Pa/m", "times_E": "1/m",
+    "traction": "Pa", "penalty": "Pa/m", "times_E": "1/m", "times_auto": "",
 }  # fmt: skip
 """By the last word of a key of the case, without places in lists and what an axis of a vector is called."""
 

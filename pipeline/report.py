@@ -112,8 +112,9 @@ def runs_of(folders: Sequence[Path]) -> dict[str, Path]:
         if not (folder / "history.csv").is_file():
             raise no_results(folder)
         for run in (folder, *sorted(p.parent for p in folder.glob(f"{VARIANTS}/*/history.csv"))):
-            name = run.resolve().name
-            runs[name if name not in runs else str(run)] = run
+            name, known = run.resolve().name, {other.resolve() for other in runs.values()}
+            if run.resolve() not in known:
+                runs[name if name not in runs else str(run)] = run
     return runs
 
 

@@ -163,6 +163,8 @@ def _penalty(pair: dict[str, Any]) -> str:
     penalty = pair.get("penalty", "auto")
     if isinstance(penalty, str):
         return penalty
+    if "times_auto" in penalty:
+        return f"{penalty['times_auto']:g} times auto"
     return f"{penalty['times_E']:g} E" if "times_E" in penalty else f"{penalty['value']:g} Pa/m"
 
 

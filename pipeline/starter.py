@@ -45,7 +45,7 @@ material = "plastic"
 [contact.disc_on_block]
 slave = "disc.outer"                        # the finer or the rounder body
 master = "block.top"
-penalty = "auto"                            # or {{ times_E = 100 }}, or {{ value = 1e12 }} in Pa/m
+penalty = "auto"                            # or {{ times_auto = 4 }}, or {{ value = 1e12 }} in Pa/m
 
 [boundary.base]
 on = "block.bottom"

@@ -30,13 +30,16 @@ ENERGY_ERROR = 0.01
 below 0.1 % and the energy error falls with the square of the step."""
 MOMENTUM_ERROR = 1e-3
 """Contact forces are opposite to rounding, so that the impulse misses m dv only by the last half step."""
-SMALLEST_J = 0.1
-"""An element at a tenth of its area is about to invert, and stands for no material."""
+SMALLEST_J = 0.5
+"""Hencky's law follows experiments for stretches of 0.7 to 1.3 (Anand, J. Appl. Mech. 46, 1979): 0.7 squared. What is
+squeezed to less, mostly by a tip or in coarse cells, answers otherwise in smaller cells."""
 PENETRATION = 0.25
 """Of the cell size: penalties of 1..10 E/h, which are sound, give less up to pressures of E/4, and the search
 follows a point as deep as one cell."""
 COARSE = 1.5
 """Times as large as those of the master: with such cells a body is better not the slave."""
+UNSTRESSED = 1e-9
+"""Of the largest energy of a run: bodies that store less are not strained but by rounding."""
 HOURGLASS = 0.1
 """Of the largest internal energy: the usual limit for one-point elements."""
 
@@ -200,6 +203,7 @@ def outcome(prepared: Prepared, tally: Tally) -> dict[str, Any]:
 def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
     """The figures by which a run is judged, worst body or pair of each."""
     limit = min(ENERGY_ERROR, prepared.case.guard.energy_error)
+    stored = max(tally.internal_max, UNSTRESSED * tally.largest_energy)
     checks = [
         _below(
             "energy error",
@@ -209,7 +213,7 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         ),
         _below(
             "hourglass over internal energy",
-            tally.hourglass_max / tally.internal_max if tally.internal_max > 0.0 else 0.0,
+            tally.hourglass_max / stored if stored > 0.0 else 0.0,
             HOURGLASS,
             "take smaller cells where the body bends",
         ),
@@ -218,7 +222,8 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
             tally.smallest_j,
             SMALLEST_J,
             tally.smallest_j >= SMALLEST_J,
-            "an element is nearly inverted: larger cells there, or a load that crushes less",
+            "an element is squeezed to less than the law or a cell can follow: run it with half the cells there and "
+            "compare, or take a load that crushes less",
         ),
     ]
     errors = [error for body in prepared.bodies if (error := tally.momentum(body).error) is not None]
@@ -229,17 +234,24 @@ def run_checks(prepared: Prepared, tally: Tally) -> tuple[Check, ...]:
         cells = np.array([_cells(prepared, k) for k in range(len(prepared.pairs))])  # of slave and master
         worst = int(np.argmax(tally.penetration / cells.min(axis=1)))
         deepest = tally.penetration[worst] / cells[worst].min()
-        advice = "take a stiffer penalty"
+        advice = _stiffer(prepared, worst, float(deepest))
         if cells[worst, 0] > COARSE * cells[worst, 1]:
             pair = prepared.pairs[worst]
             other = "; or passes = 2" if len(pair.passes) == 1 else ""
             advice = f"make {pair.master} the slave of {pair.name}: its cells are smaller{other}"
         elif tally.corner_depth[worst] == tally.penetration[worst]:
             felt = bool(prepared.pairs[worst].corners)
-            cure = "take a stiffer penalty or smaller cells" if felt else "leave out corners = false"
+            cure = advice if felt else "leave out corners = false"
             advice = f"a sharp corner of the master sank in between two points of the slave: {cure}"
         checks.append(_below("penetration over cell size", float(deepest), PENETRATION, advice))
     return tuple(checks)
+
+
+def _stiffer(prepared: Prepared, number: int, deepest: float) -> str:
+    """The penalty that would leave half of what is allowed, the overlap being as it is times the penalty; to type."""
+    pair = prepared.pairs[number]
+    wanted = pair_penalty(prepared, pair) * max(deepest / (0.5 * PENETRATION), 1.0)
+    return f"take a stiffer penalty (--set contact.{pair.name}.penalty={{value={wanted:.2g}}})"
 
 
 def verdict(summary: Summary) -> RenderableType:
@@ -285,7 +297,8 @@ def highlights(figures: dict[str, Any]) -> list[str]:
     for name, velocity in figures.get("velocity", {}).items():
         start, end = (f"({v[0]:.4g}, {v[1]:.4g})" for v in (velocity["start"], velocity["end"]))
         lines.append(f"velocity  {name}: {start} -> {end} m/s, centre of mass")
-    for name, stress in figures.get("highest_von_mises", {}).items():
+    stresses = figures.get("highest_von_mises", {})
+    for name, stress in ((name, stress) for name, stress in stresses.items() if stress):
         at = figures["highest_von_mises_at"][name]
         place = "({:.4g}, {:.4g})".format(*at["place"])
         text = f"von Mises up to {stress:.4g} Pa at {moment(at['time'])}, in {place} m of the undeformed body"

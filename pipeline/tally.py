@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phantomnode.pipeline.checkpoint import Tree, frame_of, frame_tree
+from phantomnode.pipeline.contacts import Pair
 from phantomnode.pipeline.corners import deepest_corner, master_corners
 from phantomnode.pipeline.history import boundary_force, centre
 from phantomnode.pipeline.observer import Ending
@@ -51,6 +52,12 @@ class Momentum(NamedTuple):
     reaction: Floats
 
 
+def _slave_corners(prepared: Prepared, pair: Pair) -> list[slice]:
+    """The corners of the slave of a pair among all points: those of its master are looked for by their places."""
+    contact = prepared.model.contact
+    return [slice(*contact.slave_first[k : k + 2]) for k in pair.corners if contact.sign[k] > 0.0]
+
+
 class Tally:
     """Looks at every frame of a run and keeps what the summary needs."""
 
@@ -70,6 +77,7 @@ class Tally:
         self.penetration = np.zeros(len(prepared.pairs))
         self.corner_depth = np.zeros(len(prepared.pairs))
         self._corners = [master_corners(prepared, k) for k in range(len(prepared.pairs))]
+        self._points = [[pair.points, *_slave_corners(prepared, pair)] for pair in prepared.pairs]
         self._times: list[float] = []
         self._forces: list[Floats] = []
 
@@ -93,8 +101,8 @@ class Tally:
         for k, boundary in enumerate(self._prepared.boundaries):
             size = float(np.hypot(*boundary_force(boundary, frame)))
             self.peak_reaction[k] = max(self.peak_reaction[k], size)
-        for k, pair in enumerate(self._prepared.pairs):
-            deepest = np.max(frame.gap[pair.points], initial=0.0)
+        for k, lists in enumerate(self._points):
+            deepest = max(np.max(frame.gap[points], initial=0.0) for points in lists)
             corner = deepest_corner(self._corners[k], self._prepared.model.x, frame.u)
             self.corner_depth[k] = max(self.corner_depth[k], corner)
             self.penetration[k] = max(self.penetration[k], deepest, corner)

@@ -18,6 +18,9 @@ CELLS_ADVISED, THROUGH_WALL = 4, 2.0
 them the one point of an element sees no bending, which hourglass control alone resists."""
 
 
+SAFE = 0.85
+"""Of the smallest stable step: what the automatic step takes of the first one."""
+
 SPANS = 6
 """Phases of contact that are told one by one."""
 
@@ -132,14 +135,15 @@ TOLD: dict[str, tuple[str, Callable[[float, float], str]]] = {
     "smallest J": (
         "Deformed elements",
         lambda value, limit: (
-            f"The most compressed element kept {percent(value)} of its area (no less than {percent(limit)} is sound)."
+            f"The most compressed element kept {percent(value)} of its area (the elastic law and a cell follow down "
+            f"to {percent(limit)})."
         ),
     ),
     "penetration over cell size": (
         "Penetration",
         lambda value, limit: (
             f"Bodies in contact overlap by at most {percent(value)} of a cell, the smaller of the two sides (limit "
-            f"{percent(limit)}), at the points of the slave and at sharp corners of the master."
+            f"{percent(limit)}), at the points of the slave and at sharp corners of either."
         ),
     ),
 }
@@ -162,12 +166,13 @@ def _step(figures: dict[str, Any]) -> Finding:
     """The time step against the stable one, at the start and in the deformed state."""
     step, least = figures["dt"], figures["stable_step_min"]
     text = (
-        f"Steps of {moment(step)}, set by: {figures['dt_set_by']}. In the deformed state the stable step never fell "
-        f"below {moment(least)}, {least / step:.3g} times the step taken."
+        f"Steps of {moment(step)}, set by: {figures['dt_set_by']}. In the deformed state the stable step fell to "
+        f"{moment(least)}, {least / step:.3g} times the step taken."
     )
     if least >= step:
         return Finding(True, "Time step", text)
-    return Finding(False, "Time step", f"{text} Some steps were not stable: take a smaller one, time.step.")
+    cure = f"--set time.step={SAFE * least:.2g}"
+    return Finding(False, "Time step", f"{text} Some steps were not stable: take a smaller one ({cure}).")
 
 
 def _mesh(figures: dict[str, Any]) -> Iterator[Finding]:

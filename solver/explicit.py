@@ -353,6 +353,7 @@ def unbalanced(frame: Frame, guard: float, last: Frame) -> RunStopped:
     return RunStopped(
         f"the energy error is {frame.energy_error:.3g} of the largest energy (allowed: {guard:.3g}) "
         f"at t = {frame.time:.6g} s, step {frame.step}",
-        "take a smaller time step, or a lower contact penalty; look at the last good state",
+        "take a smaller time step; where bodies overlap by much of a cell, a stiffer penalty; look at the last good "
+        "state",
         last,
     )

@@ -482,3 +482,9 @@ def test_classic_xfem_refuses_what_it_does_not_do(file: Path) -> None:
     with pytest.raises(CaseError, match=r"without integration\.uncut.*damping\.mass, hourglass\.viscosity"):
         load_case(file, keys)
     assert load_case(file, keys[:2]).method == "xfem"
+
+
+def test_a_decimal_comma_is_told(tmp_path: Path) -> None:
+    (tmp_path / "case.toml").write_text("time = { end = 1 }\n[contact.c]\nfriction = 0,2  # Coulomb\n")
+    with pytest.raises(CaseError, match="not valid TOML: .*line 3.*decimal point: 0.2, not 0,2"):
+        load_case(tmp_path)

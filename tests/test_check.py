@@ -252,3 +252,21 @@ def test_the_box_that_is_suggested_for_a_side_holds_nodes_there(side: str) -> No
     table["boundary"]["hold"]["on"] = tomllib.loads(f"on = {written}")["on"]
     (hold,) = prepare(case_from_table(table)).boundaries
     assert 3 <= len(hold.nodes) <= 20
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"rho": 7.8}, "waves in a run at "),
+        ({"cell": 1.2}, " elements: are the cell and the unit"),
+    ],
+)
+def test_numbers_in_other_units_are_told(change: dict[str, float], said: str) -> None:
+    """A density in g/cm^3; a cell in other units than the drawing."""
+    table = two_blocks(0.1)
+    (name,) = {table["body"]["block"]["material"]}
+    table["material"][name] = {"E": 210e9, "nu": 0.3, "rho": change.get("rho", 7800.0)}
+    if "cell" in change:
+        table["body"]["block"]["grid"] = {"kind": "cartesian", "cell": change["cell"]}
+    told = " ".join(prepare(case_from_table(table)).warnings)
+    assert said.replace(" a ", f" {name} ") in told, told

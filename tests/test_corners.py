@@ -362,3 +362,21 @@ def test_the_tip_of_a_body_is_cut_off_wherever_its_cells_meet(cell):
         np.min(np.sum(turns * turns[following], axis=1)) > 0.5
     )  # 60 degrees at most, 45 where both cuts are alike
     assert ends[:, :, 1].max() < -0.01 - 0.5 * 0.1 * CELL  # the tip itself is the corner's
+
+
+def test_the_summary_counts_corners_of_the_slave():
+    """A square on its tip in a plane: its corner is all that touches."""
+    tip = {"polygon": {"points": [[0.0, 0.011], [0.4, 0.411], [0.0, 0.811], [-0.4, 0.411]]}}
+    prepared = landing({"polyline": {"points": [[1.0, 0.0], [-1.0, 0.0]]}}, tip, "block.outer", end=0.014)
+    tally = Tally(prepared)
+    for frame in run(prepared, 100):
+        tally.frame(frame)
+    assert 0.0005 < tally.penetration[0] < 0.1 * CELL and tally.corner_depth[0] == 0.0
+
+
+def test_penalties_in_automatic_ones():
+    auto, four, E = (landing(**{"penalty": p}) for p in ("auto", {"times_auto": 4.0}, {"times_E": 50.0}))
+    np.testing.assert_allclose(four.model.contact.penalty, 4.0 * auto.model.contact.penalty, rtol=1e-14)
+    np.testing.assert_allclose(
+        E.model.contact.penalty, auto.model.contact.penalty, rtol=1e-12
+    )  # 5 E/h, h = 0.1

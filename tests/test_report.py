@@ -299,7 +299,8 @@ class TestPages:
         assert f'href="{cases[0].folder.name}/' in text  # its page, or its folder where it has none
 
     def test_runs_beside_each_other(self, run_folder, tmp_path):
-        (page,) = write_report([run_folder, run_folder], tmp_path / "both")
+        shutil.copytree(run_folder, tmp_path / "other")
+        (page,) = write_report([run_folder, tmp_path / "other", run_folder], tmp_path / "both")
         assert page.name == "comparison.html"
         assert "2 of 2 cases are done" in page.read_text(encoding="utf-8")
 
