@@ -20,7 +20,11 @@ from phantomnode.pipeline.results import Results
 
 if TYPE_CHECKING:
     from matplotlib.animation import AbstractMovieWriter
+    from matplotlib.figure import Figure
     from rich.console import Console
+
+MARGIN = 0.08
+"""Around a frame, inches."""
 
 WIDTHS = (100, 4000)
 """Least and most pixels of a film."""
@@ -86,10 +90,11 @@ def write_film(
     picture = FieldPicture(
         frames[0], what, results.title, limits=span, box=corners, smooth=smooth, extremes=extremes
     )
-    _even(picture, width)
     for _ in range(2):  # the layout of axes of equal scale settles in two passes
         picture.figure.canvas.draw()
     picture.figure.set_layout_engine("none")  # as it is now, in all frames
+    _whole(picture.figure)
+    _even(picture, width)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
@@ -110,6 +115,17 @@ def _told(frames: list[FieldsFrame], console: Console | None) -> Iterable[Fields
     from rich.progress import track
 
     return track(frames, "drawing frames", console=console, transient=True)
+
+
+def _whole(figure: Figure) -> None:
+    """Give the figure the size of what is drawn, and a margin: the layout cuts off labels of tall axes."""
+    drawn, size = figure.get_tightbbox(), figure.get_size_inches()
+    around = np.array([drawn.x1 - drawn.x0, drawn.y1 - drawn.y0]) + 2.0 * MARGIN
+    for axes in figure.axes:
+        place = axes.get_position().get_points() * size - (drawn.x0, drawn.y0) + MARGIN
+        low, high = place / around
+        axes.set_position((*low, *(high - low)))
+    figure.set_size_inches(*around)
 
 
 def _even(picture: FieldPicture, width: int) -> None:
