@@ -217,7 +217,8 @@ def table_of(cases: Sequence[Compared], home: Path, asked: Asked = NOTHING_ASKED
     axes = [name for name in cases[0].inputs if name != "run"]
     there = _outputs(cases)
     outputs = [name for name in asked.outputs if name in there]
-    outputs += [name for name in there if name.startswith(SHOWN) and name not in outputs]
+    telling = sorted((name for name in there if name.startswith(SHOWN)), key=_telling)
+    outputs += [name for name in telling if name not in outputs]
     rows = []
     for case in cases:
         name = Cell(case.name, "", _link(case.folder, home))
@@ -243,8 +244,7 @@ def _comparison(cases: Sequence[Compared], asked: Asked) -> dict[str, Any]:
     """What the chart draws: axes and outputs, a value a case; first the outputs that were asked for."""
 
     def rank(name: str) -> tuple[bool, int]:
-        tells = [k for k, begin in enumerate(SHOWN) if name.startswith(begin)]
-        return name not in asked.outputs, tells[0] if tells else len(SHOWN)
+        return name not in asked.outputs, _telling(name)
 
     return {
         "axes": [
@@ -259,6 +259,11 @@ def _comparison(cases: Sequence[Compared], asked: Asked) -> dict[str, Any]:
             for name in sorted(_outputs(cases), key=rank)
         ],
     }
+
+
+def _telling(name: str) -> int:
+    """The place of an output among those that are shown, behind them where it is none."""
+    return next((k for k, begin in enumerate(SHOWN) if name.startswith(begin)), len(SHOWN))
 
 
 def _outputs(cases: Sequence[Compared]) -> list[str]:

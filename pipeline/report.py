@@ -112,9 +112,11 @@ def runs_of(folders: Sequence[Path]) -> dict[str, Path]:
         if not (folder / "history.csv").is_file():
             raise no_results(folder)
         for run in (folder, *sorted(p.parent for p in folder.glob(f"{VARIANTS}/*/history.csv"))):
-            name, known = run.resolve().name, {other.resolve() for other in runs.values()}
-            if run.resolve() not in known:
-                runs[name if name not in runs else str(run)] = run
+            if run.resolve() in {other.resolve() for other in runs.values()}:
+                continue
+            own, case = run.resolve().name, folder.resolve().name
+            names = (own, f"{case}/{own}", str(run))
+            runs[next((name for name in names if name not in runs), str(run))] = run
     return runs
 
 

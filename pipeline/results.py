@@ -37,6 +37,9 @@ NAMED = ("start", "peak", "end")
 """The first frame, that of the largest internal energy, the last one."""
 
 
+BEYOND = 1e-6
+"""Of the run: by so much a time may be beyond its last frame."""
+
 LISTED = 6
 """Folders that a message names."""
 
@@ -236,6 +239,11 @@ class Results:
             Where the time or the file is at fault.
         """
         when, file = self._frames[self.nearest(time)]
+        last = float(self.times[-1])
+        if not isinstance(time, str) and not -BEYOND * last <= time <= (1.0 + BEYOND) * last:
+            raise CaseError(
+                f"{self.path}: frames go from 0 to {last:.7g} s; {time:g} s, in seconds, is beyond them"
+            )
         frame = FieldsFrame.read(file, when)
         if not self.table.get("rigid"):
             return frame

@@ -104,6 +104,8 @@ class TestArrays:
         assert internal[results.nearest("peak")] == internal.max()
         with pytest.raises(CaseError, match="start, peak, end"):
             results.nearest("middle")
+        with pytest.raises(CaseError, match="frames go from 0 to 0.0012 s; 10 s, in seconds, is beyond"):
+            results.frame(10)
 
     def test_reference_positions_are_those_of_the_first_frame(self, results, peak):
         # Files hold float32: the sum of the roundings of positions and displacements of 0.03 m.

@@ -420,6 +420,10 @@
       if (words.length) {
         options.xRange = [-0.5, words.length - 0.5];
         options.xAxis = { splits: () => words.map((_, k) => k), values: () => words };
+        const longest = Math.max(...words.map((word) => word.length));
+        const [letter, ends] = [6.5, 110]; // pixels of a letter, and what axes take beside the words
+        if (longest * letter > (place.clientWidth - ends) / words.length)
+          Object.assign(options.xAxis, { rotate: 40, size: Math.min(24 + 0.65 * letter * longest, 160) });
       }
       options.logX = logX.checked && places.every((value) => value > 0);
       options.logY = logY.checked && what.values.every((value) => value == null || value > 0);
