@@ -222,16 +222,34 @@ def _warmed_up(client: Client, batch: str, stopping: Stopping) -> bool:
     """
     from distributed.scheduler import KilledWorker
 
-    trial = client.submit(warm_up, pure=False, key=f"warm-up-{batch}")
+    trial, staff = client.submit(warm_up, pure=False, key=f"warm-up-{batch}"), _Staff(client)
     while not stopping.asked():
         try:
             trial.result(timeout=PULSE)
             return True
         except TimeoutError:
-            continue
+            staff.look()
         except (KilledWorker, ImportError) as error:
             raise CaseError(f"the workers cannot run a small trial case: {error}") from error
     return False
+
+
+class _Staff:
+    """The workers of this machine, which are started anew where there has been none for a while."""
+
+    def __init__(self, client: Client) -> None:
+        self._client, self._seen = client, time.monotonic()
+
+    def look(self) -> None:
+        """Start them where that is wanted; those of a scheduler that runs by itself may come later."""
+        cluster = self._client.cluster
+        if cluster is None or self._client.nthreads():
+            self._seen = time.monotonic()
+        elif time.monotonic() - self._seen > WORKERLESS:
+            count = len(cluster.worker_spec)
+            cluster.scale(0)
+            cluster.scale(count)
+            self._seen = time.monotonic()
 
 
 class _Round:
@@ -248,7 +266,7 @@ class _Round:
         self._events: queue.SimpleQueue[tuple[int, Future[Any] | None]] = queue.SimpleQueue()
         self._underway = dict[int, "Future[Any]"]()
         self._rounds = dict[int, int]()
-        self._staffed = time.monotonic()
+        self._staff = _Staff(client)
 
     def outcomes(self) -> Iterator[tuple[int, Outcome] | None]:
         """Submit all and collect what becomes of them."""
@@ -262,23 +280,12 @@ class _Round:
             try:
                 place, future = self._events.get(timeout=PULSE)
             except queue.Empty:
-                self._staff()
+                self._staff.look()
                 yield None
                 continue
             if place in self._underway:
                 yield from self._heard(place, future)
         self._client.unsubscribe_topic(topic)
-
-    def _staff(self) -> None:
-        """Start workers of this machine anew where there has been none for a while; those of a scheduler may come."""
-        cluster = self._client.cluster
-        if cluster is None or self._client.nthreads():
-            self._staffed = time.monotonic()
-        elif time.monotonic() - self._staffed > WORKERLESS:
-            count = len(cluster.worker_spec)
-            cluster.scale(0)
-            cluster.scale(count)
-            self._staffed = time.monotonic()
 
     def _submit(self, places: Sequence[int]) -> None:
         keys = [f"case-{self._orders[p].batch}-{p}-{self._rounds.get(p, 0)}" for p in places]
