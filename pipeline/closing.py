@@ -7,6 +7,9 @@ import numpy as np
 from phantomnode.pipeline.gaps import Gap, master_surface, slave_surface
 from phantomnode.pipeline.prepare import Floats, Prepared
 
+ALIKE = 1e-9
+"""Of a speed, or of a cell: what differs by less differs by rounding."""
+
 LEVEL = 1e-12
 """A segment along which points fly is met at its ends alone: one whose ends are no farther across than this part."""
 
@@ -19,7 +22,7 @@ def meeting_time(prepared: Prepared, number: int, gap: Gap) -> float:
     """
     flight = closing_velocity(prepared, number)
     speed = float(np.hypot(*flight))
-    if not (speed > 0.0 and gap.distance > 0.0):
+    if not (speed > 0.0 and apart(prepared, gap)):
         return float("inf")
     pair = prepared.pairs[number]
     turned = np.array([flight, [-flight[1], flight[0]]]).T / speed  # columns: along the flight, across it
@@ -38,7 +41,32 @@ def closing_velocity(prepared: Prepared, number: int) -> Floats:
     slave, master = (
         velocity[np.unique(nodes[first[k] : first[k + 1]])].mean(axis=0) for nodes, first in sides
     )
-    return np.asarray(slave - master)
+    speed = max(float(np.hypot(*slave)), float(np.hypot(*master)))
+    flight = np.asarray(slave - master)
+    return flight if np.hypot(*flight) > ALIKE * speed else np.zeros(2)
+
+
+def flies_on(prepared: Prepared) -> bool:
+    """Whether nothing but contact changes the first velocities: no gravity, no load, no motion but a steady one."""
+    case, quarters = prepared.case, np.linspace(0.0, prepared.case.time.end, 5)
+    if any(part != 0.0 for part in case.gravity) or any(b.kind == "load" for b in prepared.boundaries):
+        return False
+    orders = {
+        "displacement": 2,
+        "velocity": 1,
+        "acceleration": 0,
+    }  # the difference that a steady motion does without
+    for channel in prepared.motion.channels:
+        values = channel.value(quarters)
+        change = np.diff(values, orders[channel.kind])
+        if np.abs(change).max() > ALIKE * np.abs(values).max():
+            return False
+    return True
+
+
+def apart(prepared: Prepared, gap: Gap) -> bool:
+    """Whether two surfaces are apart by more than rounding."""
+    return gap.distance > ALIKE * min(body.grid.typical_size for body in prepared.bodies)
 
 
 def _way_to(points: Floats, ends: Floats) -> float:

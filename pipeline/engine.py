@@ -33,7 +33,7 @@ CONNECT = 10.0
 """How long to look for a scheduler, s."""
 PULSE = 0.5
 """Between two looks for a signal while no case ends, s."""
-WORKERLESS = 15.0
+WORKERLESS = 30.0
 """How long to wait for dask to start a worker again, s. It does not where one dies before it is all there: all are
 then started anew."""
 GRACE = 20.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from phantomnode.geometry.doubling import CutMesh
 from phantomnode.pipeline.census import Wall, areas, doubled_cells, pair_penalty, step_set_by, wall
-from phantomnode.pipeline.closing import closing_velocity, meeting_time
+from phantomnode.pipeline.closing import apart, closing_velocity, flies_on, meeting_time
 from phantomnode.pipeline.coarse import coarse_slaves
 from phantomnode.pipeline.drawing import moment
 from phantomnode.pipeline.gaps import Gap, initial_gaps
@@ -178,13 +178,15 @@ def _meets(prepared: Prepared, number: int, gap: Gap | None) -> float:
 def _never_or_late(prepared: Prepared, gaps: list[tuple[Gap | None, float]]) -> Iterator[str]:
     """A warning of each pair that, by the first velocities, never meets or meets after the end of the run."""
     end = prepared.case.time.end
+    if not flies_on(prepared):
+        return  # gravity, a load or a motion of its own may bring a body there, or earlier
     for number, (pair, (gap, time)) in enumerate(zip(prepared.pairs, gaps, strict=True)):
         if end < time < np.inf:
             yield f"contact {pair.name}: the two meet at {moment(time)}, after the end of the run, {moment(end)}"
         elif (
             time == np.inf
             and gap is not None
-            and gap.distance > 0.0
+            and apart(prepared, gap)
             and closing_velocity(prepared, number).any()
         ):
             yield f"contact {pair.name}: by their first velocities the two never meet: something must turn them"

@@ -108,12 +108,14 @@ def runs_of(folders: Sequence[Path]) -> dict[str, Path]:
         Where a folder holds no run.
     """
     runs: dict[str, Path] = {}
+    known = set[Path]()
     for folder in folders:
         if not (folder / "history.csv").is_file():
             raise no_results(folder)
         for run in (folder, *sorted(p.parent for p in folder.glob(f"{VARIANTS}/*/history.csv"))):
-            if run.resolve() in {other.resolve() for other in runs.values()}:
+            if run.resolve() in known:
                 continue
+            known.add(run.resolve())
             own, case = run.resolve().name, folder.resolve().name
             names = (own, f"{case}/{own}", str(run))
             runs[next((name for name in names if name not in runs), str(run))] = run

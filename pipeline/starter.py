@@ -43,7 +43,7 @@ material = "plastic"
 
 # Parts of a body: "outer", "inner" (holes), "bottom", "right", "top", "left", or a layer of the drawing.
 [contact.disc_on_block]
-slave = "disc.outer"                        # the finer or the rounder body
+slave = "disc.outer"                        # the finer body
 master = "block.top"
 penalty = "auto"                            # or {{ times_auto = 4 }}, or {{ value = 1e12 }} in Pa/m
 

@@ -285,7 +285,10 @@ def highlights(figures: dict[str, Any]) -> list[str]:
     lines = []
     for name, phases in figures.get("contact_phases", {}).items():
         word = "phase" if len(phases) == 1 else "phases"
-        spans = f"{len(phases)} {word} {contact_spans(figures, name)}" if phases else "never touches"
+        never = (
+            "never touches" if not any(figures["contact_impulse"][name]) else "touches between two samples"
+        )
+        spans = f"{len(phases)} {word} {contact_spans(figures, name)}" if phases else never
         lines.append(f"contact   {name}: {spans}")
         if phases:
             x, y = figures["contact_impulse"][name]
@@ -327,11 +330,12 @@ def _cells(prepared: Prepared, pair: int) -> tuple[float, float]:
 
 def _never_touching(prepared: Prepared, tally: Tally) -> list[str]:
     """Pairs of different bodies, or of one and an obstacle, that have borne no force."""
-    sides = (pair_bodies(prepared, k) for k in range(len(prepared.pairs)))
+    last, sides = tally.last, (pair_bodies(prepared, k) for k in range(len(prepared.pairs)))
+    assert last is not None
     return [
         pair.name
         for k, (pair, (slave, master)) in enumerate(zip(prepared.pairs, sides, strict=True))
-        if slave is not master and not tally.touches(k)
+        if slave is not master and not np.any(last.pair_impulse[k])
     ]
 
 

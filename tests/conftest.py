@@ -103,6 +103,8 @@ def handmade() -> Prepared:
 class Still:
     """No motion."""
 
+    channels = ()
+
     def increments(self, first_step, steps, dt):
         return np.zeros((steps, 1))
 
