@@ -51,11 +51,8 @@ def flies_on(prepared: Prepared) -> bool:
     case, quarters = prepared.case, np.linspace(0.0, prepared.case.time.end, 5)
     if any(part != 0.0 for part in case.gravity) or any(b.kind == "load" for b in prepared.boundaries):
         return False
-    orders = {
-        "displacement": 2,
-        "velocity": 1,
-        "acceleration": 0,
-    }  # the difference that a steady motion does without
+    # The difference in time that is nothing in a steady motion.
+    orders = {"displacement": 2, "velocity": 1, "acceleration": 0}
     for channel in prepared.motion.channels:
         values = channel.value(quarters)
         change = np.diff(values, orders[channel.kind])

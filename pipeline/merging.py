@@ -21,7 +21,7 @@ NAMED = frozenset(
         ("output", "profile"),
     }
 )
-"""Tables whose keys are names that the user gave: whatever they are, they say nothing of a kind."""  # fmt: skip
+"""Tables whose keys are names that the user gave: whatever they are, they say nothing of a kind."""
 
 KINDS = (
     frozenset({"file", "rectangle", "circle", "ring", "polygon", "polyline", "function"}),

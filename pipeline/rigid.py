@@ -106,7 +106,8 @@ def _facing(curve: Curve, side: str) -> Curve:
 
 
 def _turning(chain: Floats, closed: bool) -> Floats:
-    """The vertices, (n, 2), without those that stand on a straight line: pieces of one are one segment."""
+    """The vertices, (n, 2), m, without those that stand on a straight line: pieces of one are one segment."""
+    chain = chain[np.append(True, np.any(np.diff(chain, axis=0) != 0.0, axis=1))]  # each place once
     along = np.diff(chain, axis=0)
     before = np.roll(along, 1, axis=0)
     cross = before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0]

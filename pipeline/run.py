@@ -191,6 +191,7 @@ def run_all(
     if case.variant and not resume:  # what is wrong with any of them is told before the first step
         _refuse_source_folder(case, folder)
         check_threads(threads)
+        _tell_of_compiling(console)
         for name, (one, _) in cases.items():
             with _told_of(name):
                 stations(prepare(one))
@@ -244,7 +245,10 @@ def _told_of(variant: str) -> Iterator[None]:
     try:
         yield
     except CaseError as error:
-        raise CaseError([_named(variant, message) for message in error.messages]) from error
+        # The cause holds what is to be drawn of it.
+        raise CaseError([_named(variant, message) for message in error.messages]) from (
+            error.__cause__ or error
+        )
     except GeometryError as error:
         raise GeometryError(_named(variant, str(error))) from error
 
@@ -278,9 +282,9 @@ def check(case: Case, out: Path | str, *, console: Console | None = None) -> Pre
     _tell_of_compiling(console)
     with drawn_where_refused(folder):
         prepared = prepare(case)
-    stations(prepared)  # a line that meets no body is told now
+        stations(prepared)  # a line that meets no body is told now
+        others = [variant_row(name, variant) for name, variant in prepared_variants(case)]
     make_folder(folder)
-    others = [variant_row(name, variant) for name, variant in prepared_variants(case)]
     write_atomically(folder / "preview.vtu", preview_vtu(prepared))
     draw_preview(prepared, folder / "preview.png")
     if console is not None:

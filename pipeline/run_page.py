@@ -206,7 +206,8 @@ def _outcome(figures: dict[str, Any]) -> Iterator[str]:
         peak, unit = readable(figures["peak_contact_force"][name], "N/m")
         touches = len(figures["contact_touches"][name])
         breaks = f" (in {touches} touches; breaks that end before a wave has crossed the slave's body do not count)"
-        touched = f"touches {contact_spans(figures, name)}" if phases else "never touches"
+        none = "touches between two samples" if any(figures["contact_impulse"][name]) else "never touches"
+        touched = f"touches {contact_spans(figures, name)}" if phases else none
         yield f"{name} {touched}{breaks if touches > len(phases) else ''}."
         if phases:
             impulse, slave = figures["contact_impulse"][name], figures.get("slave", {}).get(name, "the slave")

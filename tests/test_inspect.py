@@ -227,6 +227,20 @@ def test_check_draws_where_bodies_overlap(tmp_path: Path, capsys: pytest.Capture
     assert is_png(tmp_path / "out" / "problem.png")
 
 
+def test_check_draws_where_a_variant_overlaps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drawing(tmp_path / "d.dxf", lambda space: space.add_circle((0, 11), 10))
+    obstacle = (
+        "[rigid.floor]\ngeometry = { polyline = { points = [[-0.02, 0.0], [0.02, 0.0]] } }\nside = 'right'\n"
+    )
+    contact = "[contact.c]\nslave = 'part.outer'\nmaster = 'floor'\n"
+    deep = "[variant.deep.body.part.geometry]\nmove = [0.0, -0.002]\n"
+    (tmp_path / "case.toml").write_text(CASE + obstacle + contact + deep)
+    assert cli.check(str(tmp_path), out=tmp_path / "out") == console.INPUT_AT_FAULT
+    message = capsys.readouterr().err
+    assert "variant.deep: contact.c: part.outer and floor overlap" in message and "problem.png" in message
+    assert is_png(tmp_path / "out" / "problem.png")
+
+
 @pytest.mark.parametrize(
     ("region", "area"), [("2", 100 * np.pi), ('"bolt"', 100 * np.pi), ("1", 2400 - 25 * np.pi)]
 )

@@ -14,6 +14,7 @@ from phantomnode.pipeline.corner_points import WEIGHT
 from phantomnode.pipeline.gaps import initial_gaps
 from phantomnode.pipeline.preflight import text_report
 from phantomnode.pipeline.prepare import prepare
+from phantomnode.pipeline.rigid import _turning
 from phantomnode.pipeline.summary import run_checks
 from phantomnode.pipeline.tally import Tally
 from phantomnode.pipeline.turning import EVERY, SHARP, most_turned, sharp, sharp_or_narrow
@@ -239,3 +240,17 @@ def test_a_ball_in_a_ring_meets_the_far_side_and_one_that_passes_is_told():
     assert NEVER not in text_report(prepared)
     table["rigid"]["wall"] = {"geometry": {"circle": {"centre": [1.0, 0.7], "radius": 0.5}}}
     assert NEVER in text_report(prepare(case_from_table(table)))
+
+
+@pytest.mark.parametrize(
+    ("name", "points", "closed_curve", "kept"),
+    [
+        ("a corner that is drawn twice", [[0, 0], [1, 0], [1, 0], [1, 1]], False, [0, 1, 3]),
+        ("a line in pieces", [[0, 0], [0.3, 0], [0.7, 0], [1, 0]], False, [0, 3]),
+        ("a way back", [[0, 0], [1, 0], [0, 0]], False, [0, 1, 2]),
+        ("a square from a side on", [[0.5, 0], [1, 0], [1, 1], [0, 1], [0, 0], [0.5, 0]], True, [1, 2, 3, 4, 1]),
+    ],
+)  # fmt: skip
+def test_vertices_of_obstacles_on_straight_lines_are_left_out(name, points, closed_curve, kept):
+    points = np.array(points, dtype=float)
+    np.testing.assert_array_equal(_turning(points, closed_curve), points[kept], err_msg=name)
